@@ -9,7 +9,7 @@ use crate::limits::{MAX_PAYLOAD, VERSION};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum CodecError {
     /// The payload is longer than the contract allows.
-    #[error("payload of {found} bytes: expected at most {MAX_PAYLOAD}")]
+    #[error("payload of {found} bytes or more: expected at most {MAX_PAYLOAD}")]
     Oversized {
         /// Length found, in bytes.
         found: usize,

@@ -190,7 +190,14 @@ fn split_alive(key: &str) -> Option<(&str, u64)> {
     if alive != "alive" || parts.next().is_some() {
         return None;
     }
-    Some((node, u64::from_str_radix(source, 16).ok()?))
+    Some((node, parse_source(source)?))
+}
+
+/// The source id in a liveliness token, from the only text that it has: with a second one, the end of that token would
+/// count as the end of the process.
+fn parse_source(text: &str) -> Option<u64> {
+    let source = u64::from_str_radix(text, 16).ok()?;
+    (format!("{source:016x}") == text).then_some(source)
 }
 
 /// Index of the array that the name of a driver in a key states: `driver`, or `driver-n` from 1.

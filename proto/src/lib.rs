@@ -55,6 +55,7 @@ mod lost_driver;
 pub mod messages;
 mod present_driver;
 pub mod reported_stops;
+mod sources;
 mod stamp;
 pub mod stop_hold;
 mod structures;
@@ -79,6 +80,7 @@ pub use messages::{
     RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
 pub use present_driver::PresentDriver;
+pub use sources::{SOURCES_MAX, make_place};
 pub use stamp::sender_of;
 pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,

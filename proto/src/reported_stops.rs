@@ -30,6 +30,7 @@ use crate::enumerations::ArrayState;
 use crate::limits::{MAX_ARRAYS, Nanos, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, NodeStatus, SafetyReport, StopReport, fault};
 use crate::present_driver::PresentDriver;
+use crate::sources::make_place;
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, Stamp, StopName};
 use lost_reports::LostReports;
@@ -372,8 +373,11 @@ impl ReportedStops {
             let is_recent = |at: Duration| now.saturating_sub(at) < REPORT_AGE_MAX;
             seen.by_source.retain(|source, (at, _)| is_recent(*at) || drivers.contains(source));
             let is_late = |(_, known): &(Duration, StopReport)| known.stamp.sequence > report.stamp.sequence;
-            if !seen.by_source.get(&report.stamp.source).is_some_and(is_late) {
-                seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            let source = report.stamp.source;
+            if !seen.by_source.get(&source).is_some_and(is_late)
+                && make_place(&mut seen.by_source, source, |source| drivers.contains(&source))
+            {
+                seen.by_source.insert(source, (now, report.clone()));
             }
             let had_unlisted = seen.had_unlisted && report.lists(StopName::default());
             seen.had_unlisted = had_unlisted || report.stands_for_unlisted();

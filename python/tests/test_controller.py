@@ -305,7 +305,7 @@ def test_a_stop_that_arrives_behind_a_full_queue_is_obeyed() -> None:
 def test_a_run_that_reaches_a_controller_alone_says_what_is_missing() -> None:
     endpoint = free_endpoint()
     with observer(endpoint, "demo") as room:
-        token = room.session.liveliness().declare_token("heliostat/v1/demo/alive/controller/1")
+        token = room.session.liveliness().declare_token("heliostat/v1/demo/alive/controller/0000000000000001")
         run = _Run(_quarter, SCENARIO, "angles", Settings(connect=(endpoint,)), threading.Event())
 
         def is_named() -> bool:

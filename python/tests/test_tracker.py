@@ -130,7 +130,7 @@ def test_a_dead_endpoint_and_a_room_without_a_controller_are_named(capsys: pytes
         wait_until("line on standard error", is_shown)
         with observer(endpoint, "right") as room:
             wait_until("connection", lambda: 'no controller of room "wrong"' in peer.silence())
-            token = room.session.liveliness().declare_token("heliostat/v1/wrong/alive/controller/1")
+            token = room.session.liveliness().declare_token("heliostat/v1/wrong/alive/controller/0000000000000001")
             wait_until("controller", lambda: peer.silence() == "")
             token.undeclare()
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use heliostat_proto::Room;
+use heliostat_proto::{MAX_PAYLOAD, Room};
 use zenoh::Wait;
 use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
@@ -197,7 +197,8 @@ impl Bus {
     /// subscription is dropped.
     ///
     /// The callback runs on a Zenoh thread, one call at a time. The payload is borrowed from the
-    /// receive buffer; a payload that arrived in fragments is copied.
+    /// receive buffer; a payload that arrived in fragments is copied. Of one that is longer than a message may be, the
+    /// callback gets the first [`MAX_PAYLOAD`] bytes and one more: the codec refuses it, and no queue holds the rest.
     ///
     /// # Errors
     /// [`BusError::Refused`] where the key is invalid, or the session is closed.
@@ -220,7 +221,8 @@ impl Bus {
     ) -> Result<Subscription, BusError> {
         let deliver = move |sample: Sample| {
             if sample.kind() == SampleKind::Put {
-                callback(sample.key_expr().as_str(), &sample.payload().to_bytes());
+                let payload = sample.payload().to_bytes();
+                callback(sample.key_expr().as_str(), &payload[..payload.len().min(MAX_PAYLOAD + 1)]);
             }
         };
         let inner = self

@@ -41,6 +41,9 @@ pub struct Account {
 /// Sources of a key whose last number is kept.
 const SOURCES_MAX: usize = 64;
 
+/// Characters of a key that the table shows: a file can hold one of megabytes. Those of the contract are shorter.
+const SHOWN_MAX: usize = 128;
+
 impl Account {
     /// Counts a payload on a key; `origin` is `None` if the payload could not be decoded.
     pub fn count(&mut self, key: &str, bytes: usize, origin: Option<Origin>) {
@@ -57,7 +60,11 @@ impl Account {
                 stream.out_of_order += 1;
                 return;
             }
-            Some(index) => stream.missing += origin.sequence - known.remove(index).sequence - 1,
+            // A sender can name any number.
+            Some(index) => {
+                let missing = origin.sequence - known.remove(index).sequence - 1;
+                stream.missing = stream.missing.saturating_add(missing);
+            }
             None => stream.sources += 1,
         }
         if known.len() == SOURCES_MAX {
@@ -73,7 +80,7 @@ impl Account {
 
     /// Messages known to be missing on any key.
     pub fn missing(&self) -> u64 {
-        self.streams.values().map(|stream| stream.missing).sum()
+        self.streams.values().map(|stream| stream.missing).fold(0, u64::saturating_add)
     }
 }
 
@@ -87,7 +94,8 @@ fn entry<'a, T: Default>(map: &'a mut BTreeMap<String, T>, key: &str) -> &'a mut
 
 impl fmt::Display for Account {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let width = self.streams.keys().map(String::len).max().unwrap_or(0).max(6);
+        let shown = |key: &str| key.chars().take(SHOWN_MAX).collect::<String>();
+        let width = self.streams.keys().map(|key| shown(key).len()).max().unwrap_or(0).max(6);
         write!(
             formatter,
             "{:<width$}{:>10}{:>12}{:>9}{:>9}{:>14}{:>12}",
@@ -97,7 +105,8 @@ impl fmt::Display for Account {
             let StreamAccount { messages, bytes, sources, missing, out_of_order, unreadable } = stream;
             write!(
                 formatter,
-                "\n{key:<width$}{messages:>10}{bytes:>12}{sources:>9}{missing:>9}{out_of_order:>14}{unreadable:>12}"
+                "\n{:<width$}{messages:>10}{bytes:>12}{sources:>9}{missing:>9}{out_of_order:>14}{unreadable:>12}",
+                shown(key)
             )?;
         }
         if self.dropped > 0 {
@@ -125,5 +134,20 @@ mod tests {
         let expected = StreamAccount { messages: 8, bytes: 73, sources: 2, missing: 5, out_of_order: 2, unreadable: 1 };
         assert_eq!(users, expected);
         assert_eq!((account.messages(), account.missing()), (9, 5));
+    }
+
+    #[test]
+    fn numbers_and_keys_of_any_size_are_counted_and_shown() {
+        let mut account = Account::default();
+        for (source, key) in [(1, "stop".to_owned()), (2, "stop".to_owned()), (1, "k".repeat(70_000))] {
+            for sequence in [1, u64::MAX] {
+                account.count(&key, 1, Some(Origin { source, sequence, time_ns: 0 }));
+            }
+        }
+        assert_eq!((account.streams["stop"].missing, account.missing()), (u64::MAX, u64::MAX));
+        let shown = account.to_string();
+        let lines: Vec<usize> = shown.lines().map(str::len).collect();
+        assert_eq!(lines.len(), 3, "{shown}");
+        assert!(lines.iter().all(|length| *length < 300), "{lines:?}");
     }
 }

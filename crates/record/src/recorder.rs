@@ -3,14 +3,13 @@
 //! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
 //! counted while the queue is full: the room never waits for its recorder.
 
+mod queue;
 mod room_writer;
 
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -28,8 +27,6 @@ use crate::file::Presence;
 use crate::ring::{Bounds, Ring};
 use room_writer::{Begun, Item, RoomWriter};
 
-/// Length of the queue to the disk, in messages.
-const QUEUE: usize = 16_384;
 /// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
 /// Time between two pages of metrics.
@@ -91,22 +88,23 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let ends = CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
     let exporter = settings.metrics.open(ends)?;
     let mut exported: Option<Instant> = None;
-    let (sender, queue) = sync_channel(QUEUE);
-    let dropped = Arc::new(AtomicU64::new(0));
+    let (payloads, queue) = queue::bounded();
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
     let room = bus.room().clone();
     let source = source_id::random();
     let own_token = room.alive(NodeKind::Viewer, source);
-    let (payloads, payloads_dropped) = (sender.clone(), Arc::clone(&dropped));
+    let tokens = payloads.clone();
     let received = bus.subscribe_keyed(&room.everything(), move |key, payload| {
-        let item = Item::Payload { key: key.to_owned(), arrived_ns: utc_ns(), payload: payload.to_vec() };
-        enqueue(&payloads, item, &payloads_dropped);
+        payloads.put(key.len() + payload.len(), || Item::Payload {
+            key: key.to_owned(),
+            arrived_ns: utc_ns(),
+            payload: payload.to_vec(),
+        });
     })?;
-    let (tokens, tokens_dropped) = (sender, Arc::clone(&dropped));
     let seen = bus.watch(&room.all_alive(), move |key, liveliness| {
         let Some((node, source)) = parse_alive(key).filter(|_| key != own_token) else { return };
         let presence = Presence { node, source, alive: liveliness == Liveliness::Alive };
-        enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
+        tokens.put(0, || Item::Presence { arrived_ns: utc_ns(), presence });
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
     begun.keep();
@@ -117,14 +115,14 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         if settings.until_empty && writer.is_empty_again() {
             break;
         }
-        match queue.recv_timeout(WAIT) {
+        match queue.take(WAIT) {
             Ok(item) => writer.take(item),
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
         writer.flush_if_due();
         if let Some(exporter) = exporter.as_ref().filter(|_| exported.is_none_or(|at| at.elapsed() >= EXPORT_EVERY)) {
             exported = Some(Instant::now());
-            exporter.publish(metrics(room.name(), dropped.load(Ordering::Relaxed)));
+            exporter.publish(metrics(room.name(), queue.dropped()));
         }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
             tracing::warn!("so far {missing}");
@@ -134,12 +132,12 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         }
     }
     drop((received, seen, token));
-    while let Ok(item) = queue.try_recv() {
+    while let Ok(item) = queue.take(Duration::ZERO) {
         writer.take(item);
     }
     let refused = bus.connection_problem();
     bus.close()?;
-    let mut outcome = writer.finish(dropped.load(Ordering::Relaxed));
+    let mut outcome = writer.finish(queue.dropped());
     if outcome.account.messages() == 0
         && let Some(reason) = refused
     {
@@ -189,13 +187,6 @@ fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
         Ok((ring.create(now)?, ring.path()))
     }) {
         writer.failure = Some(format!("the next file cannot be begun: {error}"));
-    }
-}
-
-fn enqueue(queue: &SyncSender<Item>, item: Item, dropped: &AtomicU64) {
-    match queue.try_send(item) {
-        Ok(()) => {}
-        Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => drop(dropped.fetch_add(1, Ordering::Relaxed)),
     }
 }
 

@@ -7,7 +7,7 @@ use std::fmt;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::gauges::CalibrationProgress;
-use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus};
+use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus, SOURCES_MAX};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -65,9 +65,6 @@ impl Role {
         }
     }
 }
-
-/// Most controllers that are shown, and whose geometries are kept: any number of processes can pass for one.
-pub(crate) const SHOWN_MAX: usize = 64;
 
 /// One controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -186,6 +183,13 @@ impl Controllers {
         self.0.retain(|source, known| known.is_remembered() || is_alive(source));
     }
 
+    /// Whether the status of a controller has a place: each one that is in the room, and so many others.
+    pub fn has_place(&self, source: u64, alive: &BTreeSet<(&'static str, u64)>) -> bool {
+        let is_alive = |source: &u64| alive.contains(&(NodeKind::Controller.name(), *source));
+        let strangers = || self.0.keys().copied().filter(|known| !is_alive(known)).count();
+        self.0.contains_key(&source) || is_alive(&source) || strangers() < SOURCES_MAX
+    }
+
     /// Notes the status of a controller.
     pub fn take(&mut self, status: &NodeStatus) {
         let source = status.stamp.source;
@@ -238,7 +242,7 @@ impl Controllers {
         self.0.get(&source).map_or("", |known| &known.scenario)
     }
 
-    /// The controllers that are in the room, the leader first, and those that were lost, [`SHOWN_MAX`] at most. The first
+    /// The controllers that are in the room, the leader first, and those that were lost, [`SOURCES_MAX`] at most. The first
     /// array follows the commands of an epoch, if it reports.
     pub fn present(
         &self,
@@ -266,7 +270,7 @@ impl Controllers {
             }
         }
         figures.sort_by_key(|figures| figures.role);
-        figures.truncate(SHOWN_MAX);
+        figures.truncate(SOURCES_MAX);
         figures
     }
 
@@ -364,7 +368,18 @@ mod tests {
         controllers.take(&status(500, &[]));
         let alive = (1..=500).map(|source| (name, source)).collect();
         let present = controllers.present(&alive, None);
-        assert_eq!((present.len(), present[0].name.as_str()), (SHOWN_MAX, controller_name(500).as_str()));
+        assert_eq!((present.len(), present[0].name.as_str()), (SOURCES_MAX, controller_name(500).as_str()));
+    }
+
+    #[test]
+    fn a_controller_in_the_room_has_a_place_beside_very_many_others() {
+        let (mut controllers, alive) = (Controllers::default(), [(NodeKind::Controller.name(), 500)].into());
+        for source in 1..=500 {
+            if controllers.has_place(source, &alive) {
+                controllers.take(&status(source, &[]));
+            }
+        }
+        assert_eq!((controllers.0.len(), controllers.0.contains_key(&500)), (SOURCES_MAX + 1, true));
     }
 
     #[test]

@@ -18,6 +18,12 @@ use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 const EVENTS_MAX: usize = 100;
 /// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
+/// Most problems of one process, and most texts about one phase of a stop, that are events within this time: a sender
+/// can invent any number.
+const PROBLEMS_MAX: usize = 10;
+/// Most stops that an event names, and most characters of each operator and of each reason.
+const STOPS_NAMED: usize = 3;
+const STOP_TEXT_MAX: usize = 100;
 
 /// State of a controller that is in the room and reports.
 const ALIVE: &str = "alive";
@@ -96,13 +102,13 @@ impl EventLog {
             StopPhase::Confirmed => CONFIRMED,
             StopPhase::Released => RELEASED,
         };
-        // A stop of a start has no operator, and one of the button no reason.
-        let known = |stop: &StopFigure| {
-            [&stop.operator, &stop.reason].into_iter().filter(|text| !text.is_empty()).cloned().collect()
-        };
-        let by = stop.stops.iter().map(known).filter(|known: &Vec<String>| !known.is_empty());
-        let by: String = by.map(|known| format!(" ({})", known.join(": "))).collect();
-        self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
+        let is_same_phase = before == phase || before.strip_prefix(phase).is_some_and(|by| by.starts_with(" ("));
+        let text = format!("{phase}{}", in_words(&stop.stops));
+        let (is_new, key) = (before != text, format!("stop: {text}"));
+        if is_new && !(is_same_phase && (self.problems.contains_key(&key) || self.is_full("stop: "))) {
+            self.change(at_ms, "stop", &text, !matches!(stop.phase, StopPhase::Released));
+            self.problems.insert(key, at_ms);
+        }
         for node in figures.nodes.iter().filter(|node| node.state != GONE) {
             // The last status before a release still has the stop as its problem.
             if stop.phase != StopPhase::None && follows_from_stop(&node.problem) {
@@ -120,8 +126,9 @@ impl EventLog {
             if self.states.get(&subject).is_some_and(|state| without_figures(state) == words) {
                 continue;
             }
-            let key = format!("{subject}: {words}");
-            if !self.problems.contains_key(&key) {
+            let of_subject = format!("{subject}: ");
+            let key = format!("{of_subject}{words}");
+            if !self.problems.contains_key(&key) && (words.is_empty() || !self.is_full(&of_subject)) {
                 self.change(at_ms, &subject, &node.problem, true);
                 if !words.is_empty() {
                     self.problems.insert(key, at_ms);
@@ -155,6 +162,11 @@ impl EventLog {
     pub fn json(&self) -> String {
         // Serialization of these types cannot fail: they hold only numbers, texts and lists.
         serde_json::to_string(&self.events).unwrap_or_default()
+    }
+
+    /// Whether a subject has had so many problems lately that a further one is no event.
+    fn is_full(&self, of_subject: &str) -> bool {
+        self.problems.keys().filter(|noted| noted.starts_with(of_subject)).count() >= PROBLEMS_MAX
     }
 
     /// Notes each takeover since the last call, with its reason as far as this viewer sees the former leader.
@@ -202,6 +214,17 @@ impl EventLog {
         }
         self.events.push_back(Event { at_ms, text, is_bad });
     }
+}
+
+/// The operators and the reasons of the first stops. A stop of a start has no operator, and one of the button no reason.
+fn in_words(stops: &[StopFigure]) -> String {
+    let known = |stop: &StopFigure| -> Vec<String> {
+        let texts = [&stop.operator, &stop.reason].into_iter().filter(|text| !text.is_empty());
+        texts.map(|text| text.chars().take(STOP_TEXT_MAX).collect::<String>()).collect()
+    };
+    let mut all = stops.iter().map(known).filter(|known| !known.is_empty());
+    let named: String = all.by_ref().take(STOPS_NAMED).map(|known| format!(" ({})", known.join(": "))).collect();
+    if all.next().is_some() { format!("{named} and more") } else { named }
 }
 
 /// The state of the controller. One that hangs is silent before its token ends.

@@ -7,8 +7,9 @@
 //!   public address ([`PublicAddress`]). Another name that an attacker resolves to this machine (DNS
 //!   rebinding) is refused.
 //! - The `Origin` header of an order must be the address of this page, or a public address.
-//! - A browser states in `Sec-Fetch-Site` that the page of another origin asks. Such a page may link to this one, but
-//!   not load anything: it would take the places of event streams.
+//! - A browser states in `Sec-Fetch-Site` that the page of another origin asks, and in `Sec-Purpose` that a page has
+//!   not been opened yet. Another page may link to this one, but not load or prefetch anything: it would take the places
+//!   of event streams.
 //! - The headers forbid the page to load from, send to, or be framed by other origins.
 
 use std::net::{IpAddr, SocketAddr};
@@ -39,11 +40,13 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (HeaderName::from_static("cache-control"), HeaderValue::from_static("no-store")),
 ];
 
-/// The headers by which a browser tells whose page asks, and whether it opens an address.
+/// The headers by which a browser tells whose page asks, what the answer becomes, and whether it asks in advance.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
-const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
+const FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");
+const PURPOSE: HeaderName = HeaderName::from_static("sec-purpose");
 /// The answer to the page of another origin that loads from this one.
-const FOREIGN: &str = "invalid Sec-Fetch-Site: expected a request of this page; open it by a link or its address\n";
+const FOREIGN: &str =
+    "invalid Sec-Fetch-Site or Sec-Purpose: expected a request of this page; open it by a link or its address\n";
 
 /// An address at which a proxy serves the page: `https://HOST[:PORT]`, with the path of the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -165,9 +168,11 @@ impl Guard {
     }
 }
 
-/// Whether a browser loads for the page of another origin, by its headers; other programs send none.
-fn is_foreign(site: Option<&str>, mode: Option<&str>) -> bool {
-    matches!(site, Some("cross-site" | "same-site")) && mode != Some("navigate")
+/// Whether a browser loads for the page of another origin, by its headers; other programs send none. A frame in that
+/// page loads too. What a page has prefetched has no site, and this page prefetches nothing.
+fn is_foreign(site: Option<&str>, dest: Option<&str>, purpose: Option<&str>) -> bool {
+    let is_of_other = matches!(site, Some("cross-site" | "same-site"));
+    (is_of_other && dest != Some("document")) || purpose.is_some()
 }
 
 /// A host in lower case: names of hosts have no case, and a dot at their end has no meaning.
@@ -191,8 +196,8 @@ fn shown(header: &str) -> String {
 /// Refuses a request of another origin with 403, and adds the headers to every answer.
 pub(crate) async fn check_origin(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
-    let [site, mode] = [FETCH_SITE, FETCH_MODE].map(|name| header(&request, name));
-    let is_load = is_read && is_foreign(site, mode);
+    let [site, dest, purpose] = [FETCH_SITE, FETCH_DEST, PURPOSE].map(|name| header(&request, name));
+    let is_load = is_read && is_foreign(site, dest, purpose);
     let refusal = guard.refusal(is_read, header(&request, HOST), header(&request, ORIGIN));
     let mut response = match refusal.or_else(|| is_load.then(|| FOREIGN.to_owned())) {
         Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
@@ -235,11 +240,15 @@ mod tests {
     #[test]
     fn a_page_of_another_origin_may_link_to_this_one_and_load_nothing() {
         for site in ["cross-site", "same-site"] {
-            assert!(is_foreign(Some(site), Some("no-cors")) && is_foreign(Some(site), None));
-            assert!(!is_foreign(Some(site), Some("navigate")));
+            for loaded in [Some("image"), Some("empty"), Some("iframe"), Some("object"), None] {
+                assert!(is_foreign(Some(site), loaded, None), "{loaded:?}");
+            }
+            assert!(!is_foreign(Some(site), Some("document"), None));
         }
-        assert!(!is_foreign(Some("same-origin"), Some("cors")) && !is_foreign(Some("none"), Some("navigate")));
-        assert!(!is_foreign(None, None), "a script");
+        assert!(is_foreign(Some("none"), Some("document"), Some("prefetch")), "by speculation rules of any page");
+        assert!(!is_foreign(Some("same-origin"), Some("empty"), None));
+        assert!(!is_foreign(Some("none"), Some("document"), None));
+        assert!(!is_foreign(None, None, None), "a script");
     }
 
     #[test]

@@ -25,6 +25,8 @@ const LATE_SHARE: u64 = 100;
 pub(crate) const BUDGET_US: u64 = 500;
 /// Span of the histogram.
 const WINDOW: Duration = Duration::from_secs(30);
+/// Most statuses that are kept: a controller publishes two a second.
+const SEEN_MAX: usize = 128;
 
 /// A histogram of decision times.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -73,7 +75,7 @@ impl Window {
         let stage = |(name, count): &(String, u64)| Some((name.strip_prefix(OVER)?.to_owned(), *count));
         let over = status.counters.iter().filter_map(stage).collect();
         self.seen.push_back(Counted { at: now, source, total, within, over });
-        while self.seen.front().is_some_and(|first| now - first.at > WINDOW) {
+        while self.seen.len() > SEEN_MAX || self.seen.front().is_some_and(|first| now - first.at > WINDOW) {
             self.seen.pop_front();
         }
     }
@@ -162,6 +164,13 @@ mod tests {
         window.take(&status(1, [1000, 2000], 3000));
         window.take(&status(2, [3, 5], 9));
         assert_eq!(window.histogram().counts, [3, 2, 4]);
+    }
+
+    #[test]
+    fn a_flood_of_statuses_is_bounded() {
+        let mut window = Window::default();
+        (0..1000).for_each(|total| window.take(&status(1, [0, total], total)));
+        assert_eq!(window.seen.len(), SEEN_MAX);
     }
 
     fn late_status(total: u64, over: &[(&str, u64)]) -> NodeStatus {

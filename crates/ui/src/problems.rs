@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use heliostat_proto::{NodeKind, NodeStatus};
+use heliostat_proto::{NodeKind, NodeStatus, make_place};
 
 /// A problem is current this long after its last occurrence.
 const CURRENT: Duration = Duration::from_secs(5);
@@ -36,7 +36,7 @@ const EXPECTED: [&str; 2] = ["refused:command:lower-epoch", "refused:command:sto
 /// source.
 #[derive(Debug, Default)]
 pub(crate) struct Problems {
-    last: BTreeMap<(String, u64), Occurrence>,
+    last: BTreeMap<String, BTreeMap<u64, Occurrence>>,
 }
 
 #[derive(Debug)]
@@ -56,16 +56,20 @@ struct Occurrence {
 
 impl Problems {
     /// Notes the problem of a status that arrived now. It occurs again when a counter rises that rose
-    /// when it appeared: another counter has another cause.
-    pub fn take(&mut self, name: &str, status: &NodeStatus) {
+    /// when it appeared: another counter has another cause. Of very many processes of one name, those that are in the
+    /// room have a place.
+    pub fn take(&mut self, name: &str, status: &NodeStatus, is_present: impl Fn(u64) -> bool) {
+        let now = Instant::now();
+        let of_name = self.last.entry(name.to_owned()).or_default();
+        of_name.retain(|_, last| last.reported.elapsed() < CURRENT);
+        if !make_place(of_name, status.stamp.source, is_present) {
+            return;
+        }
         let counts: BTreeMap<String, u64> = causes(status).cloned().collect();
         let lasts =
             |name: &String| LASTING.contains(&name.as_str()) && counts.get(name).is_some_and(|count| *count > 0);
         let is_expected = |name: &String| EXPECTED.contains(&name.as_str());
-        let now = Instant::now();
-        self.last.retain(|_, last| last.reported.elapsed() < CURRENT);
-        let key = (name.to_owned(), status.stamp.source);
-        let last = self.last.get_mut(&key);
+        let last = of_name.get_mut(&status.stamp.source);
         let before = last.as_ref().map(|last| &last.counts);
         let has_risen =
             |name: &str, count: u64| before.and_then(|before| before.get(name)).is_none_or(|before| *before < count);
@@ -95,14 +99,15 @@ impl Problems {
                 let is_current = !are_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
                 let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
-                self.last.insert(key, Occurrence { text, counts, causes: rose.clone(), rose, at, reported: now });
+                let occurrence = Occurrence { text, counts, causes: rose.clone(), rose, at, reported: now };
+                of_name.insert(status.stamp.source, occurrence);
             }
         }
     }
 
     /// The problem of a process, if it is current; else empty.
     pub fn current(&self, node: &str, source: u64) -> &str {
-        let last = self.last.get(&(node.to_owned(), source));
+        let last = self.last.get(node).and_then(|of_name| of_name.get(&source));
         last.filter(|last| last.at.is_some_and(|at| at.elapsed() < CURRENT)).map_or("", |last| &last.text)
     }
 }
@@ -126,7 +131,7 @@ fn causes(status: &NodeStatus) -> impl Iterator<Item = &(String, u64)> {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
+    use heliostat_proto::{SOURCES_MAX, Stamp};
 
     use super::*;
 
@@ -137,29 +142,35 @@ mod tests {
         NodeStatus { stamp, last_problem: problem.into(), counters, ..NodeStatus::default() }
     }
 
+    /// Notes the status of a process that is in the room.
+    fn take(problems: &mut Problems, name: &str, status: &NodeStatus) {
+        problems.take(name, status, |_| true);
+    }
+
     fn age(problems: &mut Problems, by: Duration) {
-        problems.last.values_mut().filter_map(|last| last.at.as_mut()).for_each(|at| *at -= by);
+        let occurrences = problems.last.values_mut().flat_map(BTreeMap::values_mut);
+        occurrences.filter_map(|last| last.at.as_mut()).for_each(|at| *at -= by);
     }
 
     #[test]
     fn the_text_of_a_first_status_is_no_problem_until_its_cause_is_counted() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let expired = |count| status("the command has expired", &[("refused:command:expired", count)]);
-        problems.take(node, &expired(1));
+        take(&mut problems, node, &expired(1));
         assert_eq!(problems.current(node, 7), "", "it may have ended long ago");
-        problems.take(node, &expired(1));
+        take(&mut problems, node, &expired(1));
         assert_eq!(problems.current(node, 7), "");
-        problems.take(node, &expired(2));
+        take(&mut problems, node, &expired(2));
         assert_eq!(problems.current(node, 7), "the command has expired");
         // Another process of this name.
         let other = |started_ns| {
             let text = expired(3);
             NodeStatus { stamp: Stamp { source: 8, ..text.stamp }, started_ns, ..text }
         };
-        problems.take(node, &other(0));
+        take(&mut problems, node, &other(0));
         assert_eq!(problems.current(node, 8), "");
         problems.last.clear();
-        problems.take(node, &other(59_000_000_000));
+        take(&mut problems, node, &other(59_000_000_000));
         assert_eq!(problems.current(node, 8), "the command has expired", "it has just started");
     }
 
@@ -167,16 +178,16 @@ mod tests {
     fn a_problem_ends_some_seconds_after_its_cause() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let expired = |count| status("the command has expired", &[("refused:command:expired", count)]);
-        problems.take(node, &status("", &[]));
-        problems.take(node, &expired(1));
+        take(&mut problems, node, &status("", &[]));
+        take(&mut problems, node, &expired(1));
         assert_eq!(problems.current(node, 7), "the command has expired");
         age(&mut problems, CURRENT);
         assert_eq!(problems.current(node, 7), "");
         // The cause is counted again.
-        problems.take(node, &expired(2));
+        take(&mut problems, node, &expired(2));
         assert_eq!(problems.current(node, 7), "the command has expired");
         age(&mut problems, CURRENT);
-        problems.take(node, &expired(2));
+        take(&mut problems, node, &expired(2));
         assert_eq!(problems.current(node, 7), "", "the text alone is no new problem");
     }
 
@@ -186,7 +197,7 @@ mod tests {
             let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
             let mut shown = |text: &str, refused, malformed| {
                 let counters = [(expected, refused), ("refused:command:not-finite", malformed)];
-                problems.take(node, &NodeStatus { node: NodeKind::Driver, ..status(text, &counters) });
+                take(&mut problems, node, &NodeStatus { node: NodeKind::Driver, ..status(text, &counters) });
                 problems.current(node, 7).to_owned()
             };
             let text = "command: a command of epoch 1: expected at least 2";
@@ -201,14 +212,14 @@ mod tests {
     #[test]
     fn an_old_problem_does_not_return_with_another_cause() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
-        problems.take(node, &status("", &[("policies_refused", 0), ("fallback:withheld", 0)]));
+        take(&mut problems, node, &status("", &[("policies_refused", 0), ("fallback:withheld", 0)]));
         let refusal =
             |withheld| status("there is no such policy", &[("policies_refused", 1), ("fallback:withheld", withheld)]);
-        problems.take(node, &refusal(0));
+        take(&mut problems, node, &refusal(0));
         assert_eq!(problems.current(node, 7), "there is no such policy");
         age(&mut problems, CURRENT);
         // A stop withholds commands; the status still has the last text.
-        problems.take(node, &refusal(5));
+        take(&mut problems, node, &refusal(5));
         assert_eq!(problems.current(node, 7), "");
     }
 
@@ -216,12 +227,12 @@ mod tests {
     fn an_old_problem_without_a_counted_cause_does_not_return_with_a_later_count() {
         let (mut problems, node) = (Problems::default(), NodeKind::Controller.name());
         let left = |missed| status("controller 7 has left", &[("missed:late", missed)]);
-        problems.take(node, &status("", &[("missed:late", 0)]));
-        problems.take(node, &left(0));
+        take(&mut problems, node, &status("", &[("missed:late", 0)]));
+        take(&mut problems, node, &left(0));
         assert_eq!(problems.current(node, 7), "controller 7 has left");
         age(&mut problems, CURRENT);
         for missed in 1..3 {
-            problems.take(node, &left(missed));
+            take(&mut problems, node, &left(missed));
             assert_eq!(problems.current(node, 7), "", "{missed}");
         }
     }
@@ -234,7 +245,7 @@ mod tests {
             NodeStatus { node: NodeKind::Driver, ..status(problem, &counters) }
         };
         let mut shown = |problem: &str, absent, expired| {
-            problems.take(node, &of_driver(problem, absent, expired));
+            take(&mut problems, node, &of_driver(problem, absent, expired));
             let shown = problems.current(node, 7).to_owned();
             age(&mut problems, CURRENT);
             shown
@@ -252,7 +263,7 @@ mod tests {
         let mut shown = |control, command| {
             let counters = [("refused:control:too-many", control), ("refused:command:expired", command)];
             let status = NodeStatus { node: NodeKind::SimNode, ..status("control: 64 users: too many", &counters) };
-            problems.take(node, &status);
+            take(&mut problems, node, &status);
             problems.current(node, 7).to_owned()
         };
         assert_eq!([shown(1, 3), shown(1, 4), shown(1, 5)], [""; 3]);
@@ -263,11 +274,11 @@ mod tests {
     fn a_lasting_state_keeps_no_text_of_another_cause() {
         let (mut problems, node) = (Problems::default(), NodeKind::Controller.name());
         let refusal = |count| status("users: outside-room", &[("standby", 1), ("refused:users:outside-room", count)]);
-        problems.take(node, &status("", &[("standby", 1), ("refused:users:outside-room", 0)]));
-        problems.take(node, &refusal(1));
+        take(&mut problems, node, &status("", &[("standby", 1), ("refused:users:outside-room", 0)]));
+        take(&mut problems, node, &refusal(1));
         assert_eq!(problems.current(node, 7), "users: outside-room");
         age(&mut problems, CURRENT);
-        problems.take(node, &refusal(1));
+        take(&mut problems, node, &refusal(1));
         assert_eq!(problems.current(node, 7), "", "it stands by, and refuses nothing");
     }
 
@@ -275,9 +286,9 @@ mod tests {
     fn a_lasting_problem_is_current_without_new_counts() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let unfit = status("the array receives no commands", &[(NodeStatus::ARRAY_UNFIT, 1)]);
-        problems.take(node, &unfit);
+        take(&mut problems, node, &unfit);
         age(&mut problems, CURRENT);
-        problems.take(node, &unfit);
+        take(&mut problems, node, &unfit);
         assert_eq!(problems.current(node, 7), "the array receives no commands");
     }
 
@@ -287,7 +298,7 @@ mod tests {
         let mut shown = |others| {
             let counters = [(NodeStatus::OTHER_PROCESSES, others), ("refused:another-process", 1)];
             let status = status("another simulator has joined the room", &counters);
-            problems.take(node, &NodeStatus { node: NodeKind::SimNode, ..status });
+            take(&mut problems, node, &NodeStatus { node: NodeKind::SimNode, ..status });
             let shown = problems.current(node, 7).to_owned();
             age(&mut problems, CURRENT);
             shown
@@ -305,5 +316,18 @@ mod tests {
             problems.take(node.name(), &NodeStatus { node, ..unrecorded });
             assert_eq!(problems.current(node.name(), 7), text);
         }
+    }
+
+    #[test]
+    fn the_problems_of_very_many_processes_do_not_keep_out_that_of_one_in_the_room() {
+        let (mut problems, node) = (Problems::default(), NodeKind::Viewer.name());
+        let started_ns = 59_000_000_000;
+        for source in 1..=500 {
+            let stamp = Stamp { source, ..status("", &[]).stamp };
+            let status = NodeStatus { stamp, started_ns, ..status("it has just started", &[]) };
+            problems.take(node, &status, |source| source == 500);
+        }
+        assert_eq!(problems.last[node].len(), SOURCES_MAX);
+        assert_eq!([problems.current(node, 500), problems.current(node, 499)], ["it has just started", ""]);
     }
 }

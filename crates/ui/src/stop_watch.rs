@@ -11,7 +11,7 @@ use heliostat_proto::keys::{parse_alive, parse_array_alive};
 use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
     EmergencyStop, Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, SafetyReport, StopName, StopReport,
-    codec,
+    codec, make_place,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::locks::{lock, unpoisoned};
@@ -20,7 +20,6 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 use crate::array_reports::ArrayReports;
 use crate::causes::follows_from_stop;
-use crate::controllers::SHOWN_MAX;
 use crate::expiry::EXPIRY;
 use crate::stop_words::{UNKNOWN_ARRAYS, held_in_words, lost_beside_another, problem, unrecorded, unreleased_lost};
 
@@ -307,8 +306,9 @@ impl WatchState {
         let mut holders = self.holders();
         holders.remove(&status.stamp.source);
         holders.retain(|_, (at, _)| at.elapsed() < EXPIRY);
-        if follows_from_stop(&status.state) && holders.len() < SHOWN_MAX {
-            holders.insert(status.stamp.source, (Instant::now(), printable(&status.state).into_owned()));
+        let source = status.stamp.source;
+        if follows_from_stop(&status.state) && make_place(&mut holders, source, |_| false) {
+            holders.insert(source, (Instant::now(), printable(&status.state).into_owned()));
         }
     }
 

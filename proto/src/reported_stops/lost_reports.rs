@@ -6,12 +6,10 @@ use std::time::Duration;
 use crate::enumerations::NodeKind;
 use crate::lost_driver::LostDriver;
 use crate::messages::NodeStatus;
+use crate::sources::make_place;
 
 /// A status is published twice a second. That of a controller without a token counts for this time.
 const STATUS_AGE_MAX: Duration = Duration::from_millis(2500);
-
-/// Most controllers whose statuses are kept.
-const CONTROLLERS_MAX: usize = 64;
 
 /// Arrival of a status, and the lost drivers in it.
 type Report = (Duration, Vec<LostDriver>);
@@ -42,11 +40,8 @@ impl LostReports {
         }
         let (source, controllers) = (status.stamp.source, &self.controllers);
         self.last.retain(|source, (at, _)| counts(controllers, *source, *at, now));
-        if !self.last.contains_key(&source) && self.last.len() >= CONTROLLERS_MAX {
-            // A controller that is in the room takes the place of one that is not.
-            let stranger = self.last.keys().copied().find(|known| !controllers.contains(known));
-            let Some(stranger) = stranger.filter(|_| controllers.contains(&source)) else { return 0 };
-            self.last.remove(&stranger);
+        if !make_place(&mut self.last, source, |source| controllers.contains(&source)) {
+            return 0;
         }
         let lost = LostDriver::all_of(status);
         let arrays = lost.iter().map(|driver| driver.array + 1).max().unwrap_or_default();

@@ -22,11 +22,24 @@ fn liveliness_keys_survive_a_round_trip() {
     assert_eq!(key, "heliostat/v1/demo/alive/driver/0000000000000abc");
     assert_eq!(keys::parse_alive(&key), Some((NodeKind::Driver, 0xabc)));
     assert_eq!(keys::parse_alive(&room.array(3).driver_alive(0xabc)), Some((NodeKind::Driver, 0xabc)));
-    let not_drivers = ["driver-0", "driver-16", "tracker-1"].map(|node| format!("heliostat/v1/demo/alive/{node}/1"));
-    let others = [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()];
+    let not_drivers = ["driver-0", "driver-16", "tracker-1"].map(|node| key.replace("/driver/", &format!("/{node}/")));
+    let others = [room.users(), room.all_alive(), format!("{key}/more"), key.replace("/v1/", "/v2/")];
     for other in others.into_iter().chain(not_drivers) {
         assert_eq!(keys::parse_alive(&other), None, "{other}");
     }
+}
+
+#[test]
+fn a_source_has_one_text_in_a_token() {
+    let room = Room::new("demo").expect("a valid name");
+    let key = |text: &str| room.alive(NodeKind::Tracker, 0).replace("0000000000000000", text);
+    assert_eq!(keys::parse_alive(&key("0000000000000abc")), Some((NodeKind::Tracker, 0xabc)));
+    for second in ["abc", "+abc", "0000000000000ABC", "00000000000000abc", "+000000000000abc", ""] {
+        assert_eq!(keys::parse_alive(&key(second)), None, "{second}");
+    }
+    let driver = room.alive(NodeKind::Driver, 0xabc);
+    assert_eq!(keys::parse_array_alive(&driver), Some((Some(0), 0xabc)));
+    assert_eq!(keys::parse_array_alive(&driver.replace("0000000000000abc", "abc")), None);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 use heliostat_bus::*;
-use heliostat_proto::{NodeKind, Room};
+use heliostat_proto::{MAX_PAYLOAD, NodeKind, Room};
 
 use crate::common::{LIMIT, wait_until};
 
@@ -97,6 +97,19 @@ fn payloads_arrive_complete_and_in_order() {
             found.unwrap_or_else(|_| panic!("payload {number}, of {} bytes, was dropped", payload(number).len()));
         assert!(found == payload(number), "expected payload {number}, received {} bytes", found.len());
     }
+}
+
+#[test]
+fn of_a_payload_that_no_message_can_have_the_part_arrives_that_shows_it() {
+    let (first, second) = pair();
+    let (_subscription, receiver) = subscribed(&second, &first.room().stop());
+    let publisher = first.publisher(&first.room().stop(), Class::RealTimeBlock).expect("a valid key");
+    publish_until_received(&publisher, b"connected", &receiver);
+    let payload = vec![7_u8; 3 * MAX_PAYLOAD];
+    publisher.put(&payload).expect("open");
+    let is_short = |found: &Vec<u8>| found == b"connected";
+    let found = std::iter::from_fn(|| receiver.recv_timeout(LIMIT).ok()).find(|found| !is_short(found));
+    assert_eq!(found.map(|found| found.len()), Some(MAX_PAYLOAD + 1));
 }
 
 #[test]

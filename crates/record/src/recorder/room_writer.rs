@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use heliostat_proto::{Nanos, NodeKind, Room, VERSION};
-use heliostat_service::{clock::utc_ns, printable::printable};
+use heliostat_proto::{Nanos, NodeKind, Room, VERSION, cut};
+use heliostat_service::{clock::utc_ns, log_limit::LogLimit, printable::printable};
 
 use super::{Outcome, Settings};
 use crate::account::Account;
@@ -22,8 +22,13 @@ use crate::series::Series;
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// Most recorded keys that the contract does not have.
 const OTHER_KEYS_MAX: usize = 256;
+/// Longest of them in bytes.
+const OTHER_KEY_MAX: usize = 256;
 /// Most differing scenarios of processes that are reported.
 const PROBLEMS_MAX: usize = 64;
+/// Most lines about processes that join or leave, within this time: a process can have any number of tokens.
+const PRESENCE_LINES_MAX: u32 = 100;
+const PRESENCE_LINES_WITHIN: Duration = Duration::from_secs(10);
 /// Time after which the recorder reports a missing stream, while there is time to mend it.
 const MISSING_AFTER: Duration = Duration::from_secs(5);
 /// What is wrong where no message was received.
@@ -81,6 +86,10 @@ pub(super) struct RoomWriter<S: Storage> {
     pub(super) faults: Vec<String>,
     present: Vec<u64>,
     was_present: bool,
+    /// Since when the lines about presences are counted, and their number.
+    presence_lines: (Instant, u32),
+    /// The line that stands for further ones.
+    further: LogLimit,
     flushed: Instant,
     /// Whether [`RoomWriter::missing_once`] has looked.
     has_looked: bool,
@@ -116,6 +125,8 @@ impl<S: Storage> RoomWriter<S> {
             faults: Vec::new(),
             present: Vec::new(),
             was_present: false,
+            presence_lines: (Instant::now(), 0),
+            further: LogLimit::default(),
             flushed: Instant::now(),
             has_looked: false,
             other_keys: 0,
@@ -142,7 +153,9 @@ impl<S: Storage> RoomWriter<S> {
         let taken = match item {
             Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
             Item::Presence { arrived_ns, presence } => {
-                tracing::info!("{presence}");
+                if let Some(line) = self.presence_line(Instant::now(), presence) {
+                    tracing::info!("{line}");
+                }
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);
@@ -153,6 +166,19 @@ impl<S: Storage> RoomWriter<S> {
             }
         };
         self.keep(recording, taken);
+    }
+
+    /// The line about a process that joins or leaves; one in ten seconds stands for those of a flood.
+    fn presence_line(&mut self, now: Instant, presence: Presence) -> Option<String> {
+        let (since, lines) = &mut self.presence_lines;
+        if now.saturating_duration_since(*since) >= PRESENCE_LINES_WITHIN {
+            (*since, *lines) = (now, 0);
+        }
+        *lines = lines.saturating_add(1);
+        if *lines <= PRESENCE_LINES_MAX {
+            return Some(presence.to_string());
+        }
+        self.further.line(now, "further processes join or leave", 1)
     }
 
     fn payload(
@@ -188,18 +214,18 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     /// Whether the messages of a key are recorded: those of the contract, and those of the first other ones. A file
-    /// has places for a limited number of them, and a sender can invent any number.
+    /// has places for a limited number of them, and a sender can invent any number, of any length.
     fn has_place(&mut self, key: &str) -> bool {
         if self.room.kind_of(key).is_some() || self.account.streams.contains_key(key) {
             return true;
         }
-        let has_place = self.other_keys < OTHER_KEYS_MAX;
+        let has_place = self.other_keys < OTHER_KEYS_MAX && key.len() <= OTHER_KEY_MAX;
         if has_place {
             self.other_keys += 1;
         } else if !std::mem::replace(&mut self.has_left_out, true) {
             self.report(format!(
-                "messages have more than {OTHER_KEYS_MAX} keys that the contract does not have: those of further keys are not recorded, for example of {}",
-                printable(key)
+                "of the keys that the contract does not have, the first {OTHER_KEYS_MAX} of at most {OTHER_KEY_MAX} bytes are recorded: not recorded are others, for example {}",
+                printable(cut(key))
             ));
         }
         has_place
@@ -374,12 +400,28 @@ mod tests {
         let room = Room::new("alone").expect("a name");
         let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
         let mut take = |key: String| writer.take(Item::Payload { key, arrived_ns: 1, payload: Vec::new() });
+        take(format!("heliostat/v1/alone/mirrors-{}/stop", "0".repeat(1 << 20)));
         (0..=usize::from(u16::MAX) + 1).for_each(|index| take(format!("heliostat/v1/alone/mirrors-0{index}/stop")));
         take(room.users());
         assert!(!writer.has_failed());
         assert_eq!(writer.account.streams.len(), OTHER_KEYS_MAX + 1);
         assert!(writer.account.streams.contains_key(&room.users()));
         assert_eq!(writer.problems.len(), 1, "{:?}", writer.problems);
+        assert!(writer.problems[0].len() < 2000, "{}", writer.problems[0].len());
+    }
+
+    #[test]
+    fn a_flood_of_tokens_has_one_line_in_ten_seconds() {
+        let room = Room::new("alone").expect("a name");
+        let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
+        let begin = writer.presence_lines.0;
+        let mut lines = |at: Duration, sources: u64| {
+            let presence = |source| Presence { node: NodeKind::Viewer, source, alive: true };
+            (0..sources).filter_map(|source| writer.presence_line(begin + at, presence(source))).count()
+        };
+        let most = PRESENCE_LINES_MAX as usize;
+        assert_eq!(lines(Duration::ZERO, 10_000), most + 1);
+        assert_eq!(lines(PRESENCE_LINES_WITHIN, 10_000), most + 1);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Which changes of a room are events.
+//! Which changes are events.
 
 use super::*;
 use crate::figures::{Ages, ArrayFigures, NodeFigures};
@@ -221,6 +221,20 @@ fn problems_that_take_turns_do_not_fill_the_log() {
 }
 
 #[test]
+fn a_process_that_invents_problems_does_not_fill_the_log() {
+    let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+    log.note_at(1, &figures("following", ""), &[], &no_stop);
+    let first = texts(&log).len();
+    for time in 0..100 {
+        let problem = if time % 2 == 0 { "x".repeat(time + 1) } else { String::new() };
+        log.note_at(100 * time as u64, &figures("following", &problem), &[], &no_stop);
+    }
+    assert_eq!(texts(&log)[first..].len(), 2 * PROBLEMS_MAX, "each with its end");
+    log.note_at(100_000, &figures("following", "another"), &[], &no_stop);
+    assert_eq!(texts(&log).last().copied(), Some((100_000, "problem of controller: another", true)));
+}
+
+#[test]
 fn a_problem_that_begins_again_and_lasts_is_an_event_within_a_minute() {
     let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
     log.note_at(1, &figures("following", ""), &[], &no_stop);
@@ -298,4 +312,33 @@ fn an_order_is_an_event_when_it_is_answered_and_the_log_is_bounded() {
         assert!(log.note_at(time, &figures(state, ""), &[], &no_stop), "a full log changes too");
     }
     assert_eq!(log.events.len(), EVENTS_MAX);
+}
+
+#[test]
+fn many_stops_and_new_reasons_of_one_do_not_fill_the_log() {
+    let mut log = EventLog::default();
+    let held = |stops: Vec<(String, String)>| StopFigures {
+        phase: StopPhase::Confirmed,
+        stops: stops
+            .into_iter()
+            .map(|(operator, reason)| StopFigure { operator, reason, ..StopFigure::default() })
+            .collect(),
+        ..StopFigures::default()
+    };
+    log.note_at(1, &figures("stopped", ""), &[], &held(Vec::new()));
+    let first = texts(&log).len();
+    for stops in 1..=64 {
+        let many = (0..stops).map(|stop| (stop.to_string(), "r".repeat(1000))).collect();
+        log.note_at(2, &figures("stopped", ""), &[], &held(many));
+    }
+    let shown = texts(&log)[first..].iter().map(|(_, text, _)| text.len()).collect::<Vec<_>>();
+    assert!(shown.len() == 4 && shown.iter().all(|length| *length < 500), "{shown:?}");
+    for reason in 0..100 {
+        let one = vec![("ann".to_owned(), reason.to_string())];
+        log.note_at(2000, &figures("stopped", ""), &[], &held(one));
+    }
+    assert_eq!(texts(&log)[first..].len(), PROBLEMS_MAX - 1, "with the text of no stop");
+    let released = StopFigures { phase: StopPhase::Released, ..StopFigures::default() };
+    log.note_at(3000, &figures("stopped", ""), &[], &released);
+    assert_eq!(texts(&log).last().copied(), Some((3000, "stop: released", false)));
 }

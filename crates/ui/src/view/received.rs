@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 use heliostat_bus::Presence;
 use heliostat_proto::{
     BeliefReport, ChannelReport, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth,
-    SumRates, UserReport,
+    SumRates, UserReport, make_place,
 };
 use heliostat_service::clock::utc_ns;
 
 use crate::array_reports::ArrayReports;
-use crate::controllers::{ControllerFigures, Controllers, Role, SHOWN_MAX, controller_name};
+use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::expiry::EXPIRY;
 use crate::in_charge::InCharge;
 use crate::latency::Window;
@@ -216,14 +216,10 @@ impl Received {
         let mut kept = self.controller_geometries.remove(&source);
         keep_text(&mut kept, geometry.scenario);
         self.controller_geometries.retain(|_, (at, _)| at.elapsed() < EXPIRY);
-        if self.controller_geometries.len() >= SHOWN_MAX {
-            let is_stranger = |source: &u64| !self.alive.contains(&(NodeKind::Controller.name(), *source));
-            // A controller that is in the room takes the place of one that is not.
-            let stranger = self.controller_geometries.keys().copied().find(is_stranger);
-            let Some(stranger) = stranger.filter(|_| !is_stranger(&source)) else { return };
-            self.controller_geometries.remove(&stranger);
+        let is_present = |source| self.alive.contains(&(NodeKind::Controller.name(), source));
+        if make_place(&mut self.controller_geometries, source, is_present) {
+            self.controller_geometries.extend(kept.map(|kept| (source, kept)));
         }
-        self.controller_geometries.extend(kept.map(|kept| (source, kept)));
     }
 
     pub(super) fn take_truth(&mut self, truth: RoomTruth) {
@@ -255,9 +251,13 @@ impl Received {
         let name = if array == 0 { node.to_owned() } else { format!("{node}-{array}") };
         if status.node == NodeKind::Controller {
             self.controllers.forget(&self.alive);
+            if !self.controllers.has_place(status.stamp.source, &self.alive) {
+                return;
+            }
             self.controllers.take(&status);
         }
-        self.problems.take(&name, &status);
+        let alive = &self.alive;
+        self.problems.take(&name, &status, |source| alive.contains(&(node, source)));
         if !self.is_displayed(&name, &status) {
             return;
         }
@@ -281,7 +281,7 @@ pub(super) fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{ArrayState, Stamp};
+    use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp};
 
     use super::*;
 
@@ -385,10 +385,10 @@ mod tests {
             received.take_controller_geometry(RoomGeometry { stamp, scenario });
         };
         (1..200).for_each(|source| take(&mut received, source));
-        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        assert_eq!(received.controller_geometries.len(), SOURCES_MAX);
         received.alive.insert((NodeKind::Controller.name(), 500));
         take(&mut received, 500);
-        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        assert_eq!(received.controller_geometries.len(), SOURCES_MAX);
         assert!(received.controller_geometries.contains_key(&500));
     }
 

@@ -140,8 +140,14 @@ fn the_page_of_another_origin_gets_no_event_stream() {
         BufReader::new(setting.send(&format!("GET /live\n{headers}\r\n"))).read_line(&mut status).unwrap();
         status
     };
-    assert!(status("Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\n").starts_with("HTTP/1.1 403"));
-    assert!(status("Sec-Fetch-Site: same-origin\r\nSec-Fetch-Mode: cors\r\n").starts_with("HTTP/1.1 200"));
+    for loaded in [
+        "Fetch-Site: cross-site\r\nSec-Fetch-Dest: image",
+        "Fetch-Site: cross-site\r\nSec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: iframe",
+        "Fetch-Site: none\r\nSec-Fetch-Dest: document\r\nSec-Purpose: prefetch",
+    ] {
+        assert!(status(&format!("Sec-{loaded}\r\n")).starts_with("HTTP/1.1 403"), "{loaded}");
+    }
+    assert!(status("Sec-Fetch-Site: same-origin\r\nSec-Fetch-Dest: empty\r\n").starts_with("HTTP/1.1 200"));
 }
 
 #[test]

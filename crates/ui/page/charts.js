@@ -26,6 +26,7 @@ const TIPS = {
   oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
   policy: "The sum rate with the mirrors as they are: under the policy in use, under a calibration, or parked, stopped or without a driver.",
 };
+const SHARE_TIP = "The figure in % is its share of the oracle's sum rate.";
 
 // The points with an empty one in each gap, so that no line crosses a time without figures.
 export function withGaps(points) {
@@ -132,12 +133,13 @@ export class Charts {
       const share = rate != null && sum.oracle > 0 && key !== "oracle" ? `${((100 * rate) / sum.oracle).toFixed(0)} %` : "";
       term.style.setProperty("--swatch", markOf(colour, dash));
       if (!term.firstChild) {
-        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIPS[key] });
+        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: key === "oracle" ? TIPS[key] : `${TIPS[key]} ${SHARE_TIP}` });
         term.append(explained);
       }
       if (term.firstChild.textContent !== name) term.firstChild.textContent = name;
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
       figure.children[1].textContent = share;
+      figure.children[1].title = share && SHARE_TIP;
     });
   }
 

@@ -5,6 +5,8 @@ const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 // A longer time without figures is a gap in the lines.
 const GAP_S = 2;
+// The first messages of all processes of a room arrive within this time.
+const START_S = 3;
 // Distance of the names of earlier policies to the plot.
 const EARLIER_GAP_PX = 4;
 const FONT = "11px system-ui, sans-serif";
@@ -41,6 +43,13 @@ export function withGaps(points) {
 export function stretches(points, now_s) {
   const begins = points.filter(({ name }, index) => name !== points[index - 1]?.name);
   return begins.map(({ time_s, name, idle }) => ({ from_s: time_s - now_s, name, idle }));
+}
+
+// The points without those at the beginning that have no known policy yet: the first messages of a room arrive one
+// after the other. Where it stays unknown, all points stay.
+export function settled(points) {
+  const first = points.findIndex(({ name }) => name && name !== "no report");
+  return first > 0 && points[first].time_s - points[0].time_s < START_S ? points.slice(first) : points;
 }
 
 // The background of a mark in the legend: the colour of a line, with the dashes of that line.
@@ -87,7 +96,7 @@ export class Charts {
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...this.followed, ...now.sum_mbps });
-      this.past = this.past.filter((point) => now.time_s - point.time_s <= SPAN_S);
+      this.past = settled(this.past.filter((point) => now.time_s - point.time_s <= SPAN_S));
     }
     this.redraw.run(() => {
       this.drawSum(now.time_s);

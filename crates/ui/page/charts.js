@@ -5,7 +5,7 @@ const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 // A longer time without figures is a gap in the lines.
 const GAP_S = 2;
-// The first messages of all processes of a room arrive within this time.
+// A room starts within this time.
 const START_S = 3;
 // Distance of the names of earlier policies to the plot.
 const EARLIER_GAP_PX = 4;
@@ -45,10 +45,10 @@ export function stretches(points, now_s) {
   return begins.map(({ time_s, name, idle }) => ({ from_s: time_s - now_s, name, idle }));
 }
 
-// The points without those at the beginning that have no known policy yet: the first messages of a room arrive one
-// after the other. Where it stays unknown, all points stay.
+// The points without those at the beginning at which no policy was followed yet: a room starts parked, and its first
+// messages arrive one after the other. Where this lasts, all points stay.
 export function settled(points) {
-  const first = points.findIndex(({ name }) => name && name !== "no report");
+  const first = points.findIndex(({ name, idle }) => name && !idle);
   return first > 0 && points[first].time_s - points[0].time_s < START_S ? points.slice(first) : points;
 }
 

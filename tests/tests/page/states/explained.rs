@@ -62,11 +62,11 @@ fn the_thousands_of_a_time_are_apart() {
 
 #[needs("browser")]
 #[test]
-fn the_chart_of_the_sum_rates_begins_with_the_first_known_policy() {
+fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_followed() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/charts.js').then(({ settled }) => { \
-           const times = (...names) => settled(names.map((name, time_s) => ({ time_s, name }))).map(({ time_s }) => time_s); \
-           return [times('no report', '', 'greedy', 'stopped', 'no report'), times('no report', 'no report', '', 'no report', 'greedy'), \
+           const times = (...names) => settled(names.map((name, time_s) => ({ time_s, name, idle: name !== 'greedy' && name !== '' }))).map(({ time_s }) => time_s); \
+           return [times('parked', '', 'greedy', 'stopped', 'no report'), times('no report', 'no report', '', 'parked', 'greedy'), \
              times('', ''), times('greedy', ''), times()]; })";
     let expected = serde_json::json!([[2, 3, 4], [0, 1, 2, 3, 4], [0, 1], [0, 1], []]);
     assert_eq!(browser.run(script), expected);

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use heliostat_service::output;
 
-use crate::causes::not_in;
+use crate::causes::{not_in, over};
 use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
@@ -113,7 +113,7 @@ impl Lines {
         }
         let notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
         lines.extend(not_in(&notes, &self.notes).into_iter().cloned());
-        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| format!("over: {note}")));
+        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| over(note)));
         self.notes = notes;
         let line = line(figures);
         if self.line != line && !self.is_quiet {

@@ -5,6 +5,8 @@ const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 // A longer time without figures is a gap in the lines.
 const GAP_S = 2;
+// A room starts within this time.
+const START_S = 3;
 // Distance of the names of earlier policies to the plot.
 const EARLIER_GAP_PX = 4;
 const FONT = "11px system-ui, sans-serif";
@@ -26,6 +28,7 @@ const TIPS = {
   oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
   policy: "The sum rate with the mirrors as they are: under the policy in use, under a calibration, or parked, stopped or without a driver.",
 };
+const SHARE_TIP = "The figure in % is its share of the oracle's sum rate.";
 
 // The points with an empty one in each gap, so that no line crosses a time without figures.
 export function withGaps(points) {
@@ -40,6 +43,13 @@ export function withGaps(points) {
 export function stretches(points, now_s) {
   const begins = points.filter(({ name }, index) => name !== points[index - 1]?.name);
   return begins.map(({ time_s, name, idle }) => ({ from_s: time_s - now_s, name, idle }));
+}
+
+// The points without those at the beginning at which no policy was followed yet: a room starts parked, and its first
+// messages arrive one after the other. Where this lasts, all points stay.
+export function settled(points) {
+  const first = points.findIndex(({ name, idle }) => name && !idle);
+  return first > 0 && points[first].time_s - points[0].time_s < START_S ? points.slice(first) : points;
 }
 
 // The background of a mark in the legend: the colour of a line, with the dashes of that line.
@@ -86,7 +96,7 @@ export class Charts {
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...this.followed, ...now.sum_mbps });
-      this.past = this.past.filter((point) => now.time_s - point.time_s <= SPAN_S);
+      this.past = settled(this.past.filter((point) => now.time_s - point.time_s <= SPAN_S));
     }
     this.redraw.run(() => {
       this.drawSum(now.time_s);
@@ -132,12 +142,13 @@ export class Charts {
       const share = rate != null && sum.oracle > 0 && key !== "oracle" ? `${((100 * rate) / sum.oracle).toFixed(0)} %` : "";
       term.style.setProperty("--swatch", markOf(colour, dash));
       if (!term.firstChild) {
-        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIPS[key] });
+        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: key === "oracle" ? TIPS[key] : `${TIPS[key]} ${SHARE_TIP}` });
         term.append(explained);
       }
       if (term.firstChild.textContent !== name) term.firstChild.textContent = name;
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
       figure.children[1].textContent = share;
+      figure.children[1].title = share && SHARE_TIP;
     });
   }
 

@@ -105,6 +105,7 @@ function fill(row, user, largest) {
   setText(minimum, `${below ? "below " : ""}${user.min_rate_mbps.toFixed(1)}`);
   setTitle(minimum, below ? "The rate is below the minimum rate." : "");
   setClass(minimum, figure.className);
+  setTitle(bar, "The rate, with the minimum rate as a line.");
   bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;
   bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
 }
@@ -143,6 +144,9 @@ const TIMES = {
   age: "From the sampling of the positions to the decision that uses them.",
 };
 
+// A number with a narrow space between its thousands, which no language reads as a decimal sign.
+export const grouped = (value) => value.toFixed(0).replace(/\B(?=(\d{3})+$)/g, "\u202f");
+
 function quantiles(times) {
   const body = at("quantiles").tBodies[0];
   times.forEach(({ name, of, us }, index) => {
@@ -152,7 +156,7 @@ function quantiles(times) {
       const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIMES[name], textContent: name });
       row.insertCell().append(explained);
     }
-    const texts = us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"];
+    const texts = us ? [us.p50, us.p99, us.max].map(grouped) : ["–", "–", "–"];
     texts.forEach((text, column) => {
       const cell = row.cells[column + 1] ?? row.insertCell();
       setClass(cell, "number");

@@ -24,6 +24,13 @@ const BUTTONS = {
 export const notConfirmed = (order, reason) =>
   `not confirmed: ${BUTTONS[order]}: ${reason}; ${order === "stop" ? "run `heliostat stop`, or cut the power of the mirrors" : CHECK_SERVER}`;
 
+// What a button for the first users of the table does: its number is no number of a user.
+export function blockedTitle(users) {
+  if (!users.length) return "leave every direct path as it is";
+  const [paths, of] = users.length === 1 ? ["path", "user"] : ["paths", "users"];
+  return `block the direct ${paths} of ${of} ${users.map(({ user }) => user).join(", ")}`;
+}
+
 export class Orders {
   constructor(plan) {
     this.plan = plan;
@@ -71,12 +78,10 @@ export class Orders {
     if (this.blocked.length !== count + 1) {
       const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
-      for (const [button, users] of this.blocked) {
-        button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
-        const which = users === 1 ? "path of the first user" : `paths of the first ${users} users`;
-        button.dataset.title = users ? `block the direct ${which}` : "leave every direct path as it is";
-      }
+      for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     }
+    // Users come and go: the first ones of the table are named.
+    for (const [button, users] of this.blocked) button.dataset.title = blockedTitle(now.users.slice(0, users));
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
     pressed(this.power, now.power_w);
     pressed(this.speed, now.speed_m_s);

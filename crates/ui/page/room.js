@@ -46,8 +46,9 @@ export class Room {
 
   theme(dark) {
     this.view.theme(dark);
-    // The legend has the colour of the picture.
+    // The legend has the colours of the picture.
     document.querySelector("#legend .blocked").style.borderColor = palette(dark).blocked;
+    document.querySelector("#legend .obstacle").style.background = palette(dark).obstacle;
     this.isDirty = true;
   }
 

@@ -162,9 +162,33 @@ pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a Stri
     notes.iter().filter(|note| !is_other(note)).collect()
 }
 
+/// The line about a note that has ended: its fault without advice and consequences, which end with it or have notes of
+/// their own.
+pub(crate) fn over(note: &str) -> String {
+    let mut depth = 0_i32;
+    let end = note.char_indices().find(|(at, symbol)| {
+        match symbol {
+            '(' => depth += 1,
+            ')' => depth -= 1,
+            _ => {}
+        }
+        depth == 0 && note[*at..].starts_with(": ")
+    });
+    format!("over: {}", end.map_or(note, |(at, _)| &note[..at]))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_has_ended_is_named_without_its_advice_and_its_consequences() {
+        let line = format!("{OTHERS_MISSING}{CONSEQUENCES}{NO_DRIVER}");
+        assert_eq!(over(&line), "over: no array, no tracker and no other controller is seen beside one controller");
+        let refused = "controller c1 refuses the reports (users: stale): it could not take over";
+        assert_eq!(over(refused), "over: controller c1 refuses the reports (users: stale)");
+        assert_eq!(over("another note"), "over: another note");
+    }
 
     #[test]
     fn a_lost_simulator_is_one_line_with_what_follows_from_it() {

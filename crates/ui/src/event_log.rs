@@ -7,7 +7,7 @@ use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
-use crate::causes::{follows_from_stop, not_in, without_figures};
+use crate::causes::{follows_from_stop, not_in, over, without_figures};
 use crate::controllers::{ControllerFigures, Role};
 use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
@@ -141,7 +141,7 @@ impl EventLog {
             self.push(at_ms, note.clone(), true);
         }
         for note in not_in(&notes, &figures.notes) {
-            self.push(at_ms, format!("over: {note}"), false);
+            self.push(at_ms, over(note), false);
         }
         // Oldest first.
         for order in orders.iter().rev() {

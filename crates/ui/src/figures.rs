@@ -246,7 +246,8 @@ impl View {
             light: last_controller.map(ServedLight::all_of).unwrap_or_default(),
             calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
-            notes: folded(notes),
+            // What a process says is compared with all notes, also with those that a demo leaves out.
+            notes: folded(self.as_shown(notes)),
             remarks,
         }
     }

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use heliostat_service::output;
 
-use crate::causes::not_in;
+use crate::causes::{not_in, over};
 use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
@@ -124,7 +124,7 @@ impl Lines {
         lines.extend(
             not_in(&notes, &self.notes).into_iter().map(|note| line(note.clone(), figures.notes.contains(note))),
         );
-        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| line(format!("over: {note}"), false)));
+        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| line(over(note), false)));
         self.notes = notes;
         let of_figures = texts::line(figures);
         if self.line != of_figures && !self.is_quiet {

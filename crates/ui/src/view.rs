@@ -16,7 +16,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 use heliostat_service::locks::lock;
 
 use crate::UiError;
-use crate::notes::{with_restart, without_router};
+use crate::notes::{in_demo, without_router};
 use crate::shown_room::{Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
 use subscriptions::subscribe;
@@ -60,7 +60,7 @@ impl View {
         Ok(Self { opened: Instant::now(), chooser, received, stops, bus, can_restart, _subscriptions: subscriptions })
     }
 
-    /// From now on the notes advise the button of the page that restarts the controller.
+    /// From now on the notes are those of a demo, whose page has a button that restarts the controller.
     pub(crate) fn advise_restart(&self) {
         self.can_restart.store(true, Ordering::Relaxed);
     }
@@ -87,9 +87,6 @@ impl View {
         let is_explained = !of_geometry.notes.is_empty();
         let arrays = room.model.mirrors.arrays().len();
         let mut notes = self.received().notes_with(of_geometry.notes, arrays, self.opened);
-        if self.can_restart.load(Ordering::Relaxed) {
-            notes = with_restart(notes);
-        }
         let connection = self.bus.connection_problem();
         if room.source == GeometrySource::Default
             && !is_explained
@@ -103,6 +100,11 @@ impl View {
         }
         notes.extend(connection);
         Findings { notes, remarks: of_geometry.remarks }
+    }
+
+    /// These notes as they are shown: in a demo with what helps there.
+    pub(crate) fn as_shown(&self, notes: Vec<String>) -> Vec<String> {
+        if self.can_restart.load(Ordering::Relaxed) { in_demo(notes) } else { notes }
     }
 
     /// The notes of this view while its connection to a router is lost.

@@ -247,6 +247,30 @@ fn a_controller_that_hangs_is_replaced_by_the_button_restart() {
     wait_until("the event", || events().contains("order: restart the controller: done"));
 }
 
+#[needs("browser")]
+#[test]
+fn a_demo_whose_simulator_is_paused_says_what_to_do_in_a_demo() {
+    let setting = Setting::new(&["--policy", "greedy"]);
+    let browser = Browser::open_flat(&setting.url());
+    wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
+    let process = word_after(&setting.demo.errors(), "sim-node is process ");
+    let signal = |name: &str| {
+        assert!(Command::new("kill").args([name, &process]).status().expect("there is a kill command").success());
+    };
+    signal("-STOP");
+    let problem = || browser.text("#problem");
+    let paused = "The simulator reports no positions of users: its process is paused or hangs; continue it, or end the \
+                  demo and start it again.";
+    wait_until("what to do", || problem() == paused);
+    // Its connection expires: the controller is alone.
+    let driverless = || setting.observer.counter(NodeKind::Controller, "driver_absent") > 0;
+    wait_until("a controller without a driver", driverless);
+    let chip = || browser.text("#chip-controller");
+    wait_until("a page that knows it", || chip() == "alive" && problem() == paused);
+    signal("-CONT");
+    wait_until("a room that reports", || problem().is_empty() && browser.text("#chip-array") == "following");
+}
+
 fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
     observer.status(NodeKind::SimNode)?.gauge(name)
 }

@@ -5,11 +5,13 @@
 //!
 //! - [`setting`]: the processes and the browser.
 //! - [`deaths`]: processes that die; [`orders`]: orders that take effect, wait or are refused.
+//! - [`explained`]: what the parts of the page mean.
 //! - [`notes`]: what is wrong and lasts, with what to do; [`layout`]: what covers, shrinks or hides what.
 //! - [`tabs`]: several tabs of one browser.
 //! - [`view`]: what the page draws and says about a running room.
 
 mod deaths;
+mod explained;
 mod layout;
 mod notes;
 mod orders;

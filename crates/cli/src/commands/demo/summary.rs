@@ -281,7 +281,8 @@ fn longest_stages(counts: &BTreeMap<String, u64>) -> String {
 }
 
 fn list(counts: &BTreeMap<String, u64>) -> String {
-    counts.iter().map(|(name, count)| format!(" {name} {count}")).collect()
+    let counts: Vec<String> = counts.iter().map(|(name, count)| format!(" {name} {count}")).collect();
+    counts.join(",")
 }
 
 #[cfg(test)]
@@ -292,6 +293,8 @@ mod tests {
     fn the_longest_stage_of_no_late_decision_is_left_out() {
         assert_eq!(longest_stages(&BTreeMap::new()), "");
         assert_eq!(longest_stages(&BTreeMap::from([("infer".to_owned(), 2)])), "; longest stage: infer 2");
+        let two = BTreeMap::from([("infer".to_owned(), 2), ("publish".to_owned(), 1)]);
+        assert_eq!(longest_stages(&two), "; longest stage: infer 2, publish 1");
     }
 
     #[test]

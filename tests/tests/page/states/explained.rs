@@ -1,0 +1,73 @@
+//! Whether a user who sees the page for the first time finds what its parts mean.
+
+use heliostat_needs::needs;
+use heliostat_tests::wait_until;
+
+use super::setting::Setting;
+
+#[needs("browser")]
+#[test]
+fn a_button_for_blocked_paths_names_the_users_whose_paths_it_blocks() {
+    let setting = Setting::with(&["--set", "users.count=3"]);
+    let browser = setting.browser();
+    let script = "return import('/orders.js').then(({ blockedTitle }) => \
+           [[], [7], [7, 3, 12]].map((users) => blockedTitle(users.map((user) => ({ user })))))";
+    let expected = [
+        "leave every direct path as it is",
+        "block the direct path of user 7",
+        "block the direct paths of users 7, 3, 12",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+    let title = "return document.querySelector('#blocked [data-value=\"2\"]')?.title ?? ''";
+    wait_until("the users of a button", || browser.run(title) == "block the direct paths of users 0, 1");
+    // The button acts on the users that it names.
+    browser.click("#blocked [data-value='2']");
+    let by_order = "return [...document.querySelectorAll('#users tr')].filter(({ cells }) => cells[1].textContent === 'by order') \
+           .map(({ cells }) => cells[0].textContent)";
+    wait_until("their paths blocked by order", || browser.run(by_order) == serde_json::json!(["0", "1"]));
+}
+
+#[needs("browser")]
+#[test]
+fn the_legend_has_obstacles_and_the_sum_rates_say_what_their_shares_are_of() {
+    let (_setting, browser) = Setting::shown();
+    let colours = "return import('/geometry.js').then(({ palette }) => { \
+           const probe = document.createElement('i'); \
+           probe.style.color = palette(document.documentElement.dataset.theme === 'dark').obstacle; \
+           return [probe.style.color, document.querySelector('#legend .obstacle').style.backgroundColor]; })";
+    let colours = browser.run(colours);
+    assert_eq!(colours[0], colours[1]);
+    let tips =
+        "return [...document.querySelectorAll('#sum-figures small')].map((share) => [share.textContent, share.title])";
+    wait_until("shares with their meaning, and an oracle without one", || {
+        let tips = browser.run(tips);
+        let is_explained = |index: usize| {
+            tips[index][0].as_str().is_some_and(|text| text.ends_with(" %"))
+                && tips[index][1].as_str().is_some_and(|title| title.contains("share of the oracle's sum rate"))
+        };
+        is_explained(0) && is_explained(1) && tips[3] == serde_json::json!(["", ""])
+    });
+}
+
+#[needs("browser")]
+#[test]
+fn the_thousands_of_a_time_are_apart() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/figures.js').then(({ grouped }) => [0, 999.6, 12345, 1234567].map(grouped))";
+    assert_eq!(
+        browser.run(script),
+        serde_json::json!(["0", "1\u{202f}000", "12\u{202f}345", "1\u{202f}234\u{202f}567"])
+    );
+}
+
+#[needs("browser")]
+#[test]
+fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_followed() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/charts.js').then(({ settled }) => { \
+           const times = (...names) => settled(names.map((name, time_s) => ({ time_s, name, idle: name !== 'greedy' && name !== '' }))).map(({ time_s }) => time_s); \
+           return [times('parked', '', 'greedy', 'stopped', 'no report'), times('no report', 'no report', '', 'parked', 'greedy'), \
+             times('', ''), times('greedy', ''), times()]; })";
+    let expected = serde_json::json!([[2, 3, 4], [0, 1, 2, 3, 4], [0, 1], [0, 1], []]);
+    assert_eq!(browser.run(script), expected);
+}

@@ -402,7 +402,7 @@ mod tests {
     fn a_process_that_has_left_has_no_present_problem() {
         let mut received = Received::default();
         let status = NodeStatus { last_problem: "the device does not answer".into(), ..NodeStatus::default() };
-        received.problems.take("driver", &status);
+        received.problems.take("driver", &status, |_| true);
         let problem = |at| node(&received, "driver", at, &status).problem;
         let now = Instant::now();
         assert_eq!([problem(now), problem(now - EXPIRY)], [status.last_problem.as_str(), ""]);

@@ -313,7 +313,7 @@ mod tests {
             let mut problems = Problems::default();
             let text = "cannot record the emergency stop in lab.stop.toml: Permission denied";
             let unrecorded = status(text, &[(NodeStatus::STOP_UNRECORDED, 1), ("refused:command:stopped", 9)]);
-            problems.take(node.name(), &NodeStatus { node, ..unrecorded });
+            take(&mut problems, node.name(), &NodeStatus { node, ..unrecorded });
             assert_eq!(problems.current(node.name(), 7), text);
         }
     }

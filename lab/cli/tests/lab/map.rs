@@ -186,7 +186,7 @@ fn a_map_of_rates_states_how_many_users_share_the_bandwidth() {
     let out = folder.path().join("map.svg");
     let file = out.to_str().expect("a plain path");
     for (what, expected) in [("rate", true), ("coverage", true), ("sinr", false)] {
-        let output = heliostat(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--what", what]);
+        let output = lab(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--what", what]);
         let text = String::from_utf8(output.stdout).expect("text");
         assert_eq!(text.contains(", one of 5 users on the bandwidth, from"), expected, "{text}");
     }
@@ -199,7 +199,7 @@ fn a_map_of_a_room_with_tilted_receivers_has_a_condition() {
     let file = out.to_str().expect("a plain path");
     let errors = |model: &str| {
         let set = format!("users.orientation.model={model}");
-        let output = heliostat(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--set", &set]);
+        let output = lab(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--set", &set]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8(output.stderr).expect("text")
     };

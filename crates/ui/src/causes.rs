@@ -178,7 +178,8 @@ pub(crate) fn over(note: &str) -> String {
             ')' => depth -= 1,
             _ => {}
         }
-        depth == 0 && note[*at..].starts_with(": ")
+        // One word before a colon is the endpoint of the fault.
+        depth == 0 && note[*at..].starts_with(": ") && note[..*at].contains(' ')
     });
     format!("over: {}", end.map_or(note, |(at, _)| &note[..at]))
 }
@@ -193,6 +194,8 @@ mod tests {
         assert_eq!(over(&line), "over: no array, no tracker and no other controller is seen beside one controller");
         let refused = "controller c1 refuses the reports (users: stale): it could not take over";
         assert_eq!(over(refused), "over: controller c1 refuses the reports (users: stale)");
+        let endpoint = "tls/lab:7448: the certificate of lab has expired: renew it";
+        assert_eq!(over(endpoint), "over: tls/lab:7448: the certificate of lab has expired");
         assert_eq!(over("another note"), "over: another note");
         assert_eq!(over(&format!("another note{CONSEQUENCES}{NO_DRIVER}")), "over: another note");
     }

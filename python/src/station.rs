@@ -311,6 +311,11 @@ impl Station {
         Ok(lock(&self.due).is_some())
     }
 
+    /// The driver ends: commands, waiting and later ones, are no messages.
+    fn end(&self) {
+        self.received().end();
+    }
+
     /// Whether no message waits, and the present stops are in the record or could not be written.
     #[getter]
     fn is_settled(&self) -> PyResult<bool> {

@@ -195,6 +195,17 @@ def test_a_stop_is_recorded_and_only_a_rearm_that_names_it_releases_it(tmp_path:
     assert Driven(tmp_path, Mirrors()).station.advice is None
 
 
+def test_a_driver_that_ends_follows_no_command_and_obeys_a_stop(driven: Driven) -> None:
+    turns = list(driven.mirrors.turns)
+    driven.command()
+    driven.station.end()
+    assert driven.station.is_settled, "the command is no message"
+    driven.command()
+    assert driven.telemetry()["state"] == PARKED and driven.mirrors.turns == turns
+    driven.order("stop", action=0)
+    assert driven.telemetry()["state"] == STOPPED and driven.mirrors.stops == 1
+
+
 def test_a_room_with_keys_refuses_a_rearm_that_names_no_stop(tmp_path: Path) -> None:
     for authenticated, state in ((False, PARKED), (True, STOPPED)):
         driven = Driven(tmp_path / str(authenticated), Mirrors(), authenticated=authenticated)

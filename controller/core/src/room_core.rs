@@ -145,8 +145,8 @@ pub struct RoomCore {
     /// The sources of nodes that must not receive the scenario's angles.
     unfit_nodes: Vec<u64>,
     drivers: Drivers,
-    /// The sources of the trackers and simulators whose liveliness tokens are there.
-    trackers: BTreeSet<u64>,
+    /// Kind and source of the trackers and simulators whose liveliness tokens are there.
+    trackers: BTreeSet<(&'static str, u64)>,
     /// Arrival and text of the simulator's geometry.
     announced: Option<(Nanos, String)>,
     repeater: Arc<Mutex<Repeater>>,
@@ -443,10 +443,13 @@ impl RoomCore {
         } else {
             self.controller.handle_source_lost(node, source);
         }
-        if !is_alive {
-            self.trackers.remove(&source);
-        } else if publishes(node, Stream::Users) {
-            self.trackers.insert(source);
+        // A token of another kind of process can name the source of a tracker.
+        if publishes(node, Stream::Users) {
+            if is_alive {
+                self.trackers.insert((node.name(), source));
+            } else {
+                self.trackers.remove(&(node.name(), source));
+            }
         }
         self.examine_node(node, source, is_alive);
     }

@@ -45,7 +45,7 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
     let mut rooms = rooms.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut next_check = Instant::now() + STATUS_INTERVAL;
-    let mut has_warned = false;
+    let mut silence = Silence::new(started);
     let mut pauses = Pauses::default();
     while !wait_for_stop(stop, deadline, &mut pauses) {
         rooms.iter_mut().for_each(RoomRuntime::handle_timeouts);
@@ -64,12 +64,9 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
             exporter.publish(page);
         }
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
-        if !has_reports && !has_warned && started.elapsed() > SILENCE {
-            // The check of the connections has logged its reason.
-            if bus.connection_problem().is_none() {
-                tracing::warn!("{}", no_reports(config));
-            }
-            has_warned = true;
+        // The check of the connections has logged its reason.
+        if silence.is_news(Instant::now(), has_reports, bus.connection_problem().is_some()) {
+            tracing::warn!("{}", no_reports(config));
         }
     }
     rooms.iter_mut().for_each(RoomRuntime::close);
@@ -80,6 +77,29 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
     drop(rooms);
     bus.close()?;
     Ok(summary)
+}
+
+/// The wait for the first position report, which is logged once.
+struct Silence {
+    /// Since when no other problem explains it.
+    since: Instant,
+    is_logged: bool,
+}
+
+impl Silence {
+    fn new(since: Instant) -> Self {
+        Self { since, is_logged: false }
+    }
+
+    /// Whether the absence of reports is to be logged now. While a connection is missing, that is the reason.
+    fn is_news(&mut self, now: Instant, has_reports: bool, is_explained: bool) -> bool {
+        if is_explained {
+            self.since = now;
+        }
+        let is_news = !has_reports && !self.is_logged && now.saturating_duration_since(self.since) > SILENCE;
+        self.is_logged |= is_news;
+        is_news
+    }
 }
 
 fn no_reports(config: &NodeConfig) -> String {
@@ -113,6 +133,20 @@ fn wait_for_stop(stop: &Stop, deadline: Option<Instant>, pauses: &mut Pauses) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn absent_reports_are_logged_once_also_where_a_connection_was_missing_before() {
+        let start = Instant::now();
+        let mut silence = Silence::new(start);
+        let mut is_news = |second: u64, has_reports, is_explained| {
+            silence.is_news(start + Duration::from_secs(second), has_reports, is_explained)
+        };
+        assert!(!is_news(2, false, false) && !is_news(10, false, true), "no process answered");
+        assert!(!is_news(12, false, false), "the first connection is new");
+        assert_eq!([14, 20].map(|second| is_news(second, false, false)), [true, false]);
+        let mut with_reports = Silence::new(start);
+        assert!(!with_reports.is_news(start + Duration::from_secs(60), true, false));
+    }
 
     #[test]
     fn a_room_without_reports_is_named_with_where_its_tracker_connects() {

@@ -154,10 +154,15 @@ fn has_consequence(line: &str, problem: &str) -> bool {
     line.split_once(CONSEQUENCES).is_some_and(|(_, all)| all.split(", ").any(|one| one == fault))
 }
 
+/// A note without its consequences.
+fn alone(note: &str) -> &str {
+    note.split(CONSEQUENCES).next().unwrap_or_default()
+}
+
 /// The notes that are neither among the others nor consequences of one of them; one whose figures or consequences alone
 /// differ is the same.
 pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
-    let cause = |note: &str| without_figures(note.split(CONSEQUENCES).next().unwrap_or_default());
+    let cause = |note: &str| without_figures(alone(note));
     let is_other = |note: &str| others.iter().any(|other| cause(other) == cause(note) || has_consequence(other, note));
     notes.iter().filter(|note| !is_other(note)).collect()
 }
@@ -165,6 +170,7 @@ pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a Stri
 /// The line about a note that has ended: its fault without advice and consequences, which end with it or have notes of
 /// their own.
 pub(crate) fn over(note: &str) -> String {
+    let note = alone(note);
     let mut depth = 0_i32;
     let end = note.char_indices().find(|(at, symbol)| {
         match symbol {
@@ -172,7 +178,8 @@ pub(crate) fn over(note: &str) -> String {
             ')' => depth -= 1,
             _ => {}
         }
-        depth == 0 && note[*at..].starts_with(": ")
+        // One word before a colon is the endpoint of the fault.
+        depth == 0 && note[*at..].starts_with(": ") && note[..*at].contains(' ')
     });
     format!("over: {}", end.map_or(note, |(at, _)| &note[..at]))
 }
@@ -187,7 +194,10 @@ mod tests {
         assert_eq!(over(&line), "over: no array, no tracker and no other controller is seen beside one controller");
         let refused = "controller c1 refuses the reports (users: stale): it could not take over";
         assert_eq!(over(refused), "over: controller c1 refuses the reports (users: stale)");
+        let endpoint = "tls/lab:7448: the certificate of lab has expired: renew it";
+        assert_eq!(over(endpoint), "over: tls/lab:7448: the certificate of lab has expired");
         assert_eq!(over("another note"), "over: another note");
+        assert_eq!(over(&format!("another note{CONSEQUENCES}{NO_DRIVER}")), "over: another note");
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! What is wrong in a room and lasts, in words: each note says what to do.
 
+mod demo;
+
 use std::time::{Duration, Instant};
 
 use heliostat_proto::array_keys::array_name;
@@ -11,6 +13,8 @@ use crate::causes::{AND, NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS
 use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
+
+pub(crate) use demo::in_demo;
 
 /// Telemetry of this age shows that an array is present, even without a process that is known.
 pub(crate) const REPORTING: Duration = Duration::from_secs(1);
@@ -147,32 +151,10 @@ pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";
 const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
-/// The same note beside a page whose button restarts the controller.
-const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press restart on the page";
-/// What to do about the simulator of a demo, which no command starts alone.
-const CONTINUE_SIMULATOR: &str = "its process is paused or hangs; continue it, or end the demo and start it again";
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
 pub(crate) const UNSEEN_CONTROLLER: &str = "a controller or a calibration commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
-
-/// These notes of a demo, which has started the processes: its button restarts the controller. Its simulator is the
-/// only array and tracker, so where that is silent, one note about it is all.
-pub(crate) fn in_demo(notes: Vec<String>) -> Vec<String> {
-    let is_of_simulator = |note: &String| note.starts_with(NO_SIMULATED_POSITIONS);
-    let is_silent = notes.iter().any(is_of_simulator);
-    let follows = |note: &String| is_silent && [OTHERS_MISSING, NO_DRIVER].iter().any(|start| note.starts_with(start));
-    let replaced = |note: String| {
-        if note == NO_CONTROLLER {
-            RESTART_CONTROLLER.to_owned()
-        } else if is_of_simulator(&note) {
-            format!("{NO_SIMULATED_POSITIONS}: {CONTINUE_SIMULATOR}")
-        } else {
-            note
-        }
-    };
-    notes.into_iter().filter(|note| !follows(note)).map(replaced).collect()
-}
 
 fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
@@ -274,28 +256,6 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
-    }
-
-    #[test]
-    fn only_in_a_demo_the_button_that_restarts_the_controller_is_the_advice() {
-        let notes = || vec![NO_CONTROLLER.to_owned(), ARRAY_GONE.to_owned()];
-        assert!(notes().iter().all(|note| !note.contains("press")), "without such a page");
-        assert_eq!(in_demo(notes()), [RESTART_CONTROLLER, ARRAY_GONE]);
-        let cause = |note: &str| note.split(": ").next().map(str::to_owned);
-        assert_eq!(cause(RESTART_CONTROLLER), cause(NO_CONTROLLER));
-    }
-
-    #[test]
-    fn a_silent_simulator_of_a_demo_is_one_note_without_links_routers_and_drivers() {
-        let silent = format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}");
-        let driver = format!("{NO_DRIVER}: start a driver or a simulator{AGAIN}");
-        let notes = [OTHERS_MISSING, &driver, "another note"].map(str::to_owned).to_vec();
-        assert_eq!(in_demo(notes.clone()), notes, "it reports");
-        let notes = [notes, vec![silent]].concat();
-        assert_eq!(
-            in_demo(notes),
-            ["another note".to_owned(), format!("{NO_SIMULATED_POSITIONS}: {CONTINUE_SIMULATOR}")]
-        );
     }
 
     #[test]

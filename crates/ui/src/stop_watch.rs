@@ -352,6 +352,7 @@ mod tests {
     use heliostat_proto::{LostDriver, Stamp};
 
     use super::*;
+    use crate::causes::over;
 
     #[test]
     fn a_stop_that_a_controller_holds_is_shown_only_while_an_array_does_not_report_and_none_reports_a_stop() {
@@ -389,9 +390,11 @@ mod tests {
         watch.note(|seen, now| seen.handle_status(now, &status));
         assert_eq!(watch.remarks(), [""; 0], "the array has no driver");
         watch.note(|seen, now| seen.handle_driver(now, (Some(0), 9), true));
-        let remark = "array 0: driver 0000000000000007 was lost at 12:03:04 UTC, and another driver serves it: a stop \
-                      stays unconfirmed until it returns, or until its release";
+        let remark = "driver 0000000000000007 was lost at 12:03:04 UTC, and another driver serves array 0: a stop stays \
+                      unconfirmed until it returns, or until its release";
         assert_eq!(watch.remarks(), [remark]);
+        let ended = "over: driver 0000000000000007 was lost at 12:03:04 UTC, and another driver serves array 0";
+        assert_eq!(over(remark), ended);
         let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
         watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
         assert_eq!(watch.remarks(), [""; 0], "the stop names it");

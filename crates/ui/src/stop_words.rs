@@ -80,8 +80,7 @@ pub(crate) fn lost_beside_another((array, standing): &(usize, Standing)) -> Opti
     let lost = lost_in_words(drivers, *since_ns);
     let until = if drivers.len() == 1 { "it returns" } else { "they return" };
     Some(format!(
-        "array {array}: {lost}, and another driver serves it: a stop stays unconfirmed until {until}, or until its \
-         release"
+        "{lost}, and another driver serves array {array}: a stop stays unconfirmed until {until}, or until its release"
     ))
 }
 

@@ -342,6 +342,7 @@ def run(
             except PeerError as problem:
                 taken = problem
             if ended.is_set() or taken is not None or (seconds is not None and now()[0] >= 1e9 * seconds):
+                station.end()
                 # A stop that comes now is obeyed, and in the record before the end if the disk answers.
                 given_up_ns = given_up_ns or now()[0] + STOP_RECORD_END_WAIT_NS
                 if station.is_settled or now()[0] >= given_up_ns:

@@ -86,6 +86,8 @@ fn the_trackers_and_simulators_in_the_room_are_counted_by_their_tokens() {
     };
     assert_eq!([4, 5, 5].map(|source| count(NodeKind::Tracker, source, true)), [1, 2, 2]);
     assert_eq!([NodeKind::Viewer, NodeKind::SimNode].map(|node| count(node, 6, true)), [2, 3]);
+    let others = [NodeKind::Viewer, NodeKind::Driver, NodeKind::SimNode];
+    assert_eq!(others.map(|node| count(node, 4, false)), [3; 3], "the token of the tracker is there");
     assert_eq!([4, 4, 5].map(|source| count(NodeKind::Tracker, source, false)), [2, 2, 1]);
     assert_eq!(count(NodeKind::SimNode, 6, false), 0);
 }

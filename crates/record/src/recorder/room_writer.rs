@@ -84,7 +84,8 @@ pub(super) struct RoomWriter<S: Storage> {
     fault_watch: FaultWatch,
     /// Faults that began since they were taken last, in words.
     pub(super) faults: Vec<String>,
-    present: Vec<u64>,
+    /// Kind and source of the processes in the room, without viewers.
+    present: Vec<(NodeKind, u64)>,
     was_present: bool,
     /// Since when the lines about presences are counted, and their number.
     presence_lines: (Instant, u32),
@@ -156,16 +157,24 @@ impl<S: Storage> RoomWriter<S> {
                 if let Some(line) = self.presence_line(Instant::now(), presence) {
                     tracing::info!("{line}");
                 }
-                self.present.retain(|source| *source != presence.source);
-                if presence.alive && presence.node != NodeKind::Viewer {
-                    self.present.push(presence.source);
-                    self.was_present = true;
-                }
+                self.note_presence(presence);
                 let json = serde_json::to_vec(&presence).expect("a presence serialises to JSON");
                 recording.derived(&PRESENCE, arrived_ns, &json)
             }
         };
         self.keep(recording, taken);
+    }
+
+    /// Notes a process that is no viewer. A viewer can name the source of another process in its token.
+    fn note_presence(&mut self, Presence { node, source, alive }: Presence) {
+        if node == NodeKind::Viewer {
+            return;
+        }
+        self.present.retain(|known| *known != (node, source));
+        if alive {
+            self.present.push((node, source));
+            self.was_present = true;
+        }
     }
 
     /// The line about a process that joins or leaves; one in ten seconds stands for those of a flood.
@@ -408,6 +417,20 @@ mod tests {
         assert!(writer.account.streams.contains_key(&room.users()));
         assert_eq!(writer.problems.len(), 1, "{:?}", writer.problems);
         assert!(writer.problems[0].len() < 2000, "{}", writer.problems[0].len());
+    }
+
+    #[test]
+    fn a_viewer_with_the_source_of_another_process_neither_fills_nor_empties_the_room() {
+        let room = Room::new("alone").expect("a name");
+        let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
+        let mut is_empty_again = |node, alive| {
+            writer.take(Item::Presence { arrived_ns: 1, presence: Presence { node, source: 7, alive } });
+            writer.is_empty_again()
+        };
+        let (viewer, tracker) = (NodeKind::Viewer, NodeKind::Tracker);
+        let steps =
+            [(viewer, true), (viewer, false), (tracker, true), (viewer, true), (viewer, false), (tracker, false)];
+        assert_eq!(steps.map(|(node, alive)| is_empty_again(node, alive)), [false, false, false, false, false, true]);
     }
 
     #[test]

@@ -97,16 +97,21 @@ impl Ring {
         name.into()
     }
 
-    /// Creates the next file.
+    /// Creates the next file; a number that a file left alone has is passed over.
     ///
     /// # Errors
     /// It cannot be created.
     pub fn create(&mut self, now: Instant) -> io::Result<File> {
-        self.number += 1;
         self.begun = now;
         // Less than its time after a fault.
         self.is_kept = self.keep_until.is_some_and(|until| now <= until);
-        let file = OpenOptions::new().write(true).create_new(true).open(self.path())?;
+        let file = loop {
+            self.number += 1;
+            match OpenOptions::new().write(true).create_new(true).open(self.path()) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                created => break created?,
+            }
+        };
         self.is_open = true;
         Ok(file)
     }
@@ -239,9 +244,11 @@ mod tests {
         let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
         write(&mut ring, start, 2);
         assert_eq!(names(folder.path()), ["room-0001.mcap", "room-0002.mcap", "room-4294967295.mcap"]);
-        fs::rename(&foreign, folder.path().join(format!("room-{NUMBER_MAX}.mcap"))).expect("renamed");
-        write(&mut Ring::open(&out, BOUNDS, start).expect("a ring"), start, 2);
-        assert!(names(folder.path()).contains(&"room-1000000001.mcap".to_owned()), "the highest number continues");
+        fs::write(folder.path().join(format!("room-{NUMBER_MAX}.mcap")), "recorded").expect("written");
+        for last in ["room-1000000001.mcap", "room-1000000003.mcap"] {
+            write(&mut Ring::open(&out, BOUNDS, start).expect("a ring"), start, 2);
+            assert!(names(folder.path()).contains(&last.to_owned()), "a later run passes over the files of the former");
+        }
     }
 
     #[test]

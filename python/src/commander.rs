@@ -187,9 +187,10 @@ impl Commander {
         commands.map(|commands| payloads(py, commands))
     }
 
-    /// Notes the payload of an order that has arrived, until `receive` handles it. Any thread may call it.
-    fn note_order(&self, payload: &[u8], now: u64) {
-        self.repeater().note_order(now, payload);
+    /// Notes the payload of an order that has arrived, until `receive` handles it; true for a stop. Any thread may
+    /// call it.
+    fn note_order(&self, payload: &[u8], now: u64) -> bool {
+        self.repeater().note_order(now, payload)
     }
 
     /// The repetitions of stops that are due. Any thread may call it, also while the function runs.

@@ -302,6 +302,23 @@ def test_a_stop_that_arrives_behind_a_full_queue_is_obeyed() -> None:
     assert run._dropped == 1 and "withheld by the stop of ann" in (run._core.last_problem or "")
 
 
+def test_a_flood_of_orders_is_bounded_and_drops_no_first_stop() -> None:
+    run = _Run(_quarter, SCENARIO, "angles", Settings(listen=(free_endpoint(),)), threading.Event())
+    rearm = _message("stop", 7, 4, action=1, operator="ann", reason="test")
+    with run._peer:
+        for _ in range(_QUEUE_MAX + 1):
+            run._order(rearm)
+        assert (run._dropped, len(run._stops)) == (1, 0), "a re-arm is no stop"
+        for _ in range(2 * _QUEUE_MAX):
+            run._order(_stop())
+        assert (run._dropped, len(run._stops)) == (1, 1), "a repeated stop counts once"
+        for source in range(8, 8 + 2 * _QUEUE_MAX):
+            run._order(_message("stop", source, 1, action=0, operator="bob", reason="test"))
+        assert len(run._stops) == _QUEUE_MAX
+        run._receive()
+    assert not run._stops and "withheld by the stop of ann" in (run._core.last_problem or "")
+
+
 def test_a_run_that_reaches_a_controller_alone_says_what_is_missing() -> None:
     endpoint = free_endpoint()
     with observer(endpoint, "demo") as room:

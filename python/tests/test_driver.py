@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat._watched import Watched
-from heliostat.driver import Capabilities, Device, _Log, _Shown, run
+from heliostat.driver import _EVENTS_MAX, Capabilities, Device, _EventLimit, _Log, _Shown, run
 from heliostat.peer import Peer, PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
@@ -377,6 +377,22 @@ def test_the_log_has_a_stop_at_its_order_and_once_when_the_device_has_executed_i
     stopped = "the array is stopped: its device has executed the stop"
     expected = ["stop ordered by 7/3", stopped, "stop ordered by 7/4", stopped, "the array is released"]
     assert capsys.readouterr().err.splitlines() == expected
+
+
+def test_a_flood_of_stops_has_a_bounded_number_of_lines_and_hides_no_release(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    limit = _EventLimit("further stops")
+    lines = [line for ms in range(0, 60_000, 10) if (line := limit.line(f"stop {ms}", ms / 1000))]
+    assert len(lines) == _EVENTS_MAX + 6 and lines[0] == "stop 0"
+    assert lines[_EVENTS_MAX:][:2] == ["further stops (1 times)", "further stops (1000 times)"]
+    assert limit.line("stop", 80.0) == "stop", "each one after the flood"
+    with _Log() as log:
+        shown = _Shown(log, "")
+        for sequence in range(2 * _EVENTS_MAX):
+            shown.note_stop(f"7/{sequence}")
+        shown.note_stop("")
+    assert capsys.readouterr().err.splitlines()[-1] == "the array is released"
 
 
 def test_the_log_has_each_loss_of_the_device_and_its_end(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,12 @@ use heliostat_service::whole_file;
 /// A file that cannot be read, or is not a calibration.
 pub fn load(file: &Path) -> Result<CalibrationFile> {
     let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
-    CalibrationFile::parse(&text).with_context(|| format!("in {}", file.display()))
+    CalibrationFile::parse(&text).with_context(|| {
+        format!(
+            "in {}: expected a calibration of mirrors, as `heliostat calibrate --out FILE` writes it",
+            file.display()
+        )
+    })
 }
 
 /// Writes a calibration file.
@@ -22,4 +27,19 @@ pub fn load(file: &Path) -> Result<CalibrationFile> {
 /// A file that cannot be written.
 pub fn save(calibration: &CalibrationFile, file: &Path) -> Result<()> {
     whole_file::write(file, calibration.to_toml().as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_another_kind_is_refused_with_what_is_expected() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("room.toml");
+        std::fs::write(&file, "name = \"hall\"\n").expect("written");
+        let refusal = format!("{:#}", load(&file).expect_err("a scenario"));
+        assert!(refusal.contains("room.toml: expected a calibration of mirrors, as `heliostat calibrate"), "{refusal}");
+        assert!(refusal.contains("unknown field `name`"), "{refusal}");
+    }
 }

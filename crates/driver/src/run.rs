@@ -29,7 +29,7 @@ use crate::end_watch::EndWatch;
 use crate::metrics;
 use crate::record_thread::RecordThread;
 use crate::session::{ArraySession, MessagePublisher, SessionError};
-use crate::stop_record::{self, RecordInUse, StopRecordSettings};
+use crate::stop_record::{RecordInUse, StopLog, StopRecordSettings};
 use crate::summary::Summary;
 
 /// Longest wait of a process with mirrors, so that a request to end takes effect soon.
@@ -150,6 +150,7 @@ impl<D: Device> ArrayDriver<D> {
             exporter,
             logged_latch: Latch::default(),
             is_stop_logged: false,
+            stop_log: StopLog::default(),
             logged_problem: String::new(),
             device_log: DeviceLog::default(),
             unusable: Vec::new(),
@@ -235,6 +236,7 @@ struct Driver<D> {
     logged_latch: Latch,
     /// Whether the log has that the device has executed its stops.
     is_stop_logged: bool,
+    stop_log: StopLog,
     /// The problem that was logged last.
     logged_problem: String,
     device_log: DeviceLog,
@@ -321,7 +323,7 @@ impl<D: Device> Driver<D> {
             Report::Safety(safety) => {
                 let latch = self.shared.lock().kit().array().latch().clone();
                 if self.logged_latch != latch {
-                    stop_record::log_change(&self.room, &latch);
+                    self.stop_log.change(&self.room, &latch);
                     (self.logged_latch, self.is_stop_logged) = (latch, false);
                 }
                 self.session.publish_safety(safety)
@@ -329,7 +331,7 @@ impl<D: Device> Driver<D> {
             Report::Stops(stops) => {
                 let was_logged = std::mem::replace(&mut self.is_stop_logged, stops.device_stopped);
                 if stops.device_stopped && !was_logged {
-                    stop_record::log_stopped(&self.room);
+                    self.stop_log.stopped(&self.room);
                 }
                 self.session.publish_stops(stops)
             }

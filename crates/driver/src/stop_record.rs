@@ -7,10 +7,12 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
 use heliostat_proto::{Nanos, Room, StopName};
+use heliostat_service::log_limit::EventLimit;
 use heliostat_service::whole_file::{self, Held, InUse};
 use thiserror::Error;
 
@@ -132,17 +134,32 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
-/// Logs the order of a new stop, or the release of the last one.
-pub fn log_change(room: &str, latch: &Latch) {
-    match latch.stop() {
-        None => tracing::warn!(room, "the array is released"),
-        Some(stop) => tracing::warn!(room, "{}", in_words(stop)),
-    }
+/// The lines of the log about the stops of an array, bounded in a flood of stops. Each kind of line has a bound of its
+/// own: a flood of stops hides no release.
+#[derive(Debug, Default)]
+pub struct StopLog {
+    ordered: EventLimit,
+    executed: EventLimit,
+    released: EventLimit,
 }
 
-/// Logs that the device has executed each stop.
-pub fn log_stopped(room: &str) {
-    tracing::warn!(room, "the array is stopped: its device has executed the stop");
+impl StopLog {
+    /// Logs the order of a new stop, or the release of the last one.
+    pub fn change(&mut self, room: &str, latch: &Latch) {
+        let line = match latch.stop() {
+            None => self.released.line(Instant::now(), "the array is released", "the array is released again"),
+            Some(stop) => self.ordered.line(Instant::now(), in_words(stop), "further stops are ordered"),
+        };
+        line.into_iter().for_each(|line| tracing::warn!(room, "{line}"));
+    }
+
+    /// Logs that the device has executed each stop.
+    pub fn stopped(&mut self, room: &str) {
+        let (line, further) =
+            ("the array is stopped: its device has executed the stop", "the device has executed further stops");
+        let line = self.executed.line(Instant::now(), line, further);
+        line.into_iter().for_each(|line| tracing::warn!(room, "{line}"));
+    }
 }
 
 /// The order of a stop with its sender, its operator and its reason, as far as it has them.

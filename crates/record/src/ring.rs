@@ -13,6 +13,9 @@ use heliostat_proto::{ArrayState, MirrorTelemetry};
 /// Files of a full ring.
 const FILES: u64 = 8;
 
+/// Highest number of a file that counts as one of the ring: at one file a second a ring takes 30 years to it.
+const NUMBER_MAX: u32 = 999_999_999;
+
 /// Ending of the name of a file around a fault.
 const KEPT: &str = "-fault";
 
@@ -51,7 +54,8 @@ struct Closed {
 }
 
 impl Ring {
-    /// A ring beside files of earlier runs, which count as its oldest. Empty ones are deleted.
+    /// A ring beside files of earlier runs, which count as its oldest. Empty ones are deleted. Files with a number
+    /// that no ring reaches are left alone.
     ///
     /// # Errors
     /// The folder cannot be read, or an empty file not be deleted.
@@ -67,6 +71,9 @@ impl Ring {
             let Some(rest) = rest else { continue };
             let is_kept = rest.ends_with(KEPT);
             let Ok(number) = rest.strip_suffix(KEPT).unwrap_or(rest).parse::<u32>() else { continue };
+            if number > NUMBER_MAX {
+                continue;
+            }
             let metadata = entry.metadata()?;
             // A fault right after a restart keeps the files before the restart too.
             let age = metadata.modified().ok().and_then(|at| at.elapsed().ok());
@@ -90,16 +97,21 @@ impl Ring {
         name.into()
     }
 
-    /// Creates the next file.
+    /// Creates the next file; a number that a file left alone has is passed over.
     ///
     /// # Errors
     /// It cannot be created.
     pub fn create(&mut self, now: Instant) -> io::Result<File> {
-        self.number += 1;
         self.begun = now;
         // Less than its time after a fault.
         self.is_kept = self.keep_until.is_some_and(|until| now <= until);
-        let file = OpenOptions::new().write(true).create_new(true).open(self.path())?;
+        let file = loop {
+            self.number += 1;
+            match OpenOptions::new().write(true).create_new(true).open(self.path()) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                created => break created?,
+            }
+        };
         self.is_open = true;
         Ok(file)
     }
@@ -220,6 +232,22 @@ mod tests {
             let now = from + Duration::from_secs(second.into());
             ring.create(now).expect("a file").set_len(1_000).expect("a length");
             ring.close(now + Duration::from_secs(1)).expect("closed");
+        }
+    }
+
+    #[test]
+    fn a_file_with_a_number_that_no_ring_reaches_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let foreign = folder.path().join(format!("room-{}.mcap", u32::MAX));
+        File::create(&foreign).expect("a file");
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 2);
+        assert_eq!(names(folder.path()), ["room-0001.mcap", "room-0002.mcap", "room-4294967295.mcap"]);
+        fs::write(folder.path().join(format!("room-{NUMBER_MAX}.mcap")), "recorded").expect("written");
+        for last in ["room-1000000001.mcap", "room-1000000003.mcap"] {
+            write(&mut Ring::open(&out, BOUNDS, start).expect("a ring"), start, 2);
+            assert!(names(folder.path()).contains(&last.to_owned()), "a later run passes over the files of the former");
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use heliostat_files::excerpt;
 use thiserror::Error;
 
 use crate::builtin::BUILTIN_NAMES;
@@ -28,7 +29,7 @@ pub enum ScenarioError {
         message: String,
     },
     /// A value is outside its domain, or contradicts another value.
-    #[error("{}{key} = {value}: {expected}", place(line))]
+    #[error("{}{key} = {}: {expected}", place(line), excerpt(value))]
     Invalid {
         /// `table.key`.
         key: String,

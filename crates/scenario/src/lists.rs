@@ -1,4 +1,4 @@
-//! Lists in the text of a scenario: too long ones are refused before they are read, and lists in place of tables.
+//! The text of a scenario and its lists: too long ones are refused before they are read, and lists in place of tables.
 
 use heliostat_channel::{arrays::ARRAYS_MAX, receiver::BRANCHES_MAX};
 use toml::{Table, Value};
@@ -7,6 +7,9 @@ use crate::error::ScenarioError;
 use crate::mobility_check::SHARES_MAX;
 use crate::scenario::Scenario;
 
+/// Longest text in bytes: 20 times the longest built-in scenario.
+const TEXT_MAX: usize = 256 << 10;
+
 /// The lists of tables: name, key of an error, and most tables.
 const LISTS: [(&str, &str, usize); 3] = [
     ("mirrors", "mirrors (arrays)", ARRAYS_MAX),
@@ -14,11 +17,21 @@ const LISTS: [(&str, &str, usize); 3] = [
     ("users.mixture", "users.mixture (entries)", SHARES_MAX),
 ];
 
-/// Refuses more headers `[[name]]` than the list may have tables: the check of each table would take minutes.
+/// Refuses a text that is longer than a scenario, and more headers `[[name]]` than the list may have tables: the check
+/// of each key and table would take minutes.
 ///
 /// # Errors
-/// [`ScenarioError::Invalid`] with the number of all and the line of the first that is too many.
+/// [`ScenarioError::Invalid`] with the length of the text, or the number of tables and the line of the first that is
+/// too many.
 pub(crate) fn refuse_long(text: &str) -> Result<(), ScenarioError> {
+    if text.len() > TEXT_MAX {
+        return Err(ScenarioError::Invalid {
+            key: "scenario (bytes)".into(),
+            value: text.len().to_string(),
+            expected: format!("expected at most {TEXT_MAX}; a recorded walk is a file of its own, see users.trace"),
+            line: None,
+        });
+    }
     for (name, key, most) in LISTS {
         let mut headers = text.lines().enumerate().filter(|(_, line)| header(line) == Some(name));
         if let Some((index, _)) = headers.nth(most) {
@@ -80,6 +93,37 @@ mod tests {
         assert_eq!(error, "line 34: mirrors (arrays) = 100: expected at most 16");
         let mixture = format!("[users]\nmobility = \"mixture\"\n{}", "[[users.mixture]]\nshare = 0.1\n".repeat(17));
         assert_eq!(problems(&mixture), ["line 35: users.mixture (entries) = 17: expected at most 16"]);
+    }
+
+    #[test]
+    fn a_text_that_is_longer_than_a_scenario_is_one_problem() {
+        let keys: String = (0..200_000).map(|number| format!("key{number} = 1\n")).collect();
+        let found = problems(&keys);
+        assert_eq!(found.len(), 1, "{}", found.len());
+        assert!(found[0].starts_with(&format!("scenario (bytes) = {}: expected at most 262144", keys.len())));
+        let error = Scenario::from_toml(&keys).expect_err("too long").to_string();
+        assert!(error.starts_with("scenario (bytes) = "), "{error}");
+    }
+
+    #[test]
+    fn a_message_quotes_a_part_of_a_long_name_or_value() {
+        let long = "x".repeat(100_000);
+        for text in [
+            format!("{long} = 1\n"),
+            format!("[users]\n{long} = 1\n"),
+            format!("[users]\nmobility = \"{long}\"\n"),
+            format!("[users]\ncount = \"{long}\"\n"),
+        ] {
+            let error = Scenario::from_toml(&text).expect_err("refused").to_string();
+            let found = problems(&text);
+            for message in found.iter().chain([&error]) {
+                assert!(message.len() < 5_000, "{} bytes", message.len());
+            }
+            assert!(error.contains("expected"), "{error}");
+        }
+        let overridden = Scenario::default().with_overrides(&[format!("users.count={long}")]);
+        let error = overridden.expect_err("refused").to_string();
+        assert!(error.ends_with("x...: expected an integer from 1 to 64") && error.len() < 5_000, "{error}");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use std::fmt;
 use std::ops::Range;
 
+use heliostat_files::excerpt;
 use toml::de::{DeTable, DeValue};
 
 use crate::blame::refused_key;
@@ -136,7 +137,7 @@ fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>
     let line = text[..place].matches('\n').count() + 1;
     let document = DeTable::parse(text).ok();
     let entry = document.and_then(|document| by_place(document.get_ref(), place));
-    let key = entry.as_ref().map(|(key, _)| format!("{key}: ")).unwrap_or_default();
+    let key = entry.as_ref().map(|(key, _)| format!("{}: ", excerpt(key))).unwrap_or_default();
     let problem = Problem { line: Some(line), text: format!("line {line}: {key}{}", message.replace('\n', "; ")) };
     (problem, entry.map(|(_, range)| range))
 }

@@ -1,5 +1,6 @@
 //! The scenario: one checked value for all tables, read from TOML.
 
+use heliostat_files::excerpt;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -246,11 +247,11 @@ pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioErro
     ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
 }
 
-/// A message of the parser with words in place of the names of Rust's types, and with the known name
-/// that an unknown one resembles.
+/// A message of the parser with words in place of the names of Rust's types, with the known name that an unknown one
+/// resembles, and with the beginnings of long names and values.
 pub(crate) fn in_words(message: &str) -> String {
-    let message =
-        &message.split('\n').map(|line| with_similar_name(&without_struct(line))).collect::<Vec<_>>().join("\n");
+    let lines = message.split('\n').map(|line| with_similar_name(&without_struct(&cut_quotes(line))));
+    let message = &lines.collect::<Vec<_>>().join("\n");
     // TOML has no larger integer.
     let largest = "a whole number from 0 to 9223372036854775807";
     let whole = [
@@ -266,6 +267,12 @@ pub(crate) fn in_words(message: &str) -> String {
     named.fold(message.to_owned(), |text, (name, words)| {
         text.replace(&format!("expected {name}"), &format!("expected {words}"))
     })
+}
+
+/// A line with the beginning of each long part between quotation marks.
+fn cut_quotes(line: &str) -> String {
+    let cut = |part: &str| part.split('"').map(excerpt).collect::<Vec<_>>().join("\"");
+    line.split('`').map(cut).collect::<Vec<_>>().join("`")
 }
 
 /// A line with "a table" in place of the name of a struct.

@@ -1,7 +1,8 @@
-//! Bounds the lines that a lasting problem writes to the log: the first line at once, then one in ten
-//! seconds with the number of occurrences.
+//! Bounds the lines of the log: of a lasting problem the first line at once, then one in ten seconds with the number of
+//! occurrences; of events each one, until there are too many.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::time::{Duration, Instant};
 
 /// Shortest time between two lines of one problem.
@@ -52,6 +53,37 @@ impl LogLimit {
     }
 }
 
+/// Most lines of a flood of events.
+pub const EVENTS_MAX: u32 = 100;
+
+/// A flood of events has ended when none has come for so long.
+pub const FLOOD_END: Duration = INTERVAL;
+
+/// The lines of events that another process can cause at any rate, such as stops and liveliness tokens.
+#[derive(Clone, Debug, Default)]
+pub struct EventLimit {
+    /// When the last event came, and the number of events since the last flood.
+    last: Option<Instant>,
+    events: u32,
+    further: LogLimit,
+}
+
+impl EventLimit {
+    /// The line of an event. After [`EVENTS_MAX`] events of a flood, `further` stands for the others, once in ten
+    /// seconds with their number.
+    pub fn line(&mut self, now: Instant, event: impl Display, further: &str) -> Option<String> {
+        let last = self.last.replace(now);
+        if last.is_none_or(|last| now.saturating_duration_since(last) >= FLOOD_END) {
+            self.events = 0;
+        }
+        self.events = self.events.saturating_add(1);
+        if self.events <= EVENTS_MAX {
+            return Some(event.to_string());
+        }
+        self.further.line(now, further, 1)
+    }
+}
+
 /// The text with each number as one sign.
 fn without_numbers(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
@@ -82,6 +114,23 @@ mod tests {
         assert_eq!(lines.len(), 6, "{lines:?}");
         assert_eq!(lines[0], "users refused: a report is 60.0 s old");
         assert_eq!(lines[1], "users refused: a report is 62.0 s old (1000 times in 10 s)");
+    }
+
+    #[test]
+    fn a_flood_of_events_has_a_bounded_number_of_lines_and_then_one_in_ten_seconds() {
+        let (mut limit, start) = (EventLimit::default(), Instant::now());
+        let mut lines = |from_s: u32, to_s: u32| -> Vec<String> {
+            let events = (1000 * from_s..1000 * to_s).step_by(10);
+            events
+                .filter_map(|ms| {
+                    limit.line(start + ms * Duration::from_millis(1), format!("stop {ms}"), "further stops")
+                })
+                .collect()
+        };
+        let flood = lines(0, 60);
+        assert_eq!((flood.len(), flood[0].as_str()), (EVENTS_MAX as usize + 6, "stop 0"));
+        assert_eq!(flood[EVENTS_MAX as usize + 1], "further stops (1000 times in 10 s)");
+        assert_eq!(lines(80, 81).len(), EVENTS_MAX as usize, "each one after the flood");
     }
 
     #[test]

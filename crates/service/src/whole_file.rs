@@ -38,8 +38,12 @@ pub fn check_writable(file: &Path) -> Result<()> {
     if file.exists() {
         return File::options().append(true).open(file).map(drop).map_err(refused);
     }
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    tempfile::tempfile_in(folder).map(drop).map_err(refused)
+    tempfile::tempfile_in(folder_of(file)).map(drop).map_err(refused)
+}
+
+/// The folder of a file.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// The error of a file that is not written, with its name and what to do.
@@ -82,7 +86,8 @@ fn absolute(file: &Path) -> Option<PathBuf> {
     Some(beyond_links.unwrap_or(path))
 }
 
-/// Writes a file beside the final one and renames it. A pipe or device is written directly.
+/// Writes a new file beside the final one and renames it. Its name is random: another user of the folder cannot have
+/// placed a link there. A pipe or device is written directly.
 ///
 /// # Errors
 /// A file that cannot be written, by name.
@@ -91,9 +96,14 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     if is_direct(file) {
         return fs::write(file, contents).map_err(refused);
     }
-    let part = beside(file, ".part");
-    let written = fs::write(&part, contents).and_then(|()| fs::rename(&part, file));
-    complete(&part, written).map_err(refused)
+    let mut part = tempfile::Builder::new();
+    part.prefix(file.file_name().unwrap_or_default()).suffix(".part");
+    // As of every new file: the umask of the process applies.
+    #[cfg(unix)]
+    part.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut part = part.tempfile_in(folder_of(file)).map_err(refused)?;
+    part.write_all(contents).map_err(refused)?;
+    part.persist(file).map(drop).map_err(|error| refused(error.error))
 }
 
 /// Writes a file that does not exist yet.
@@ -241,6 +251,21 @@ mod tests {
         assert!(refusal.contains("/dev/stdout is standard output"), "{refusal}");
         let refusal = check_writable(&folder.path().join("no/figures.csv")).expect_err("no folder");
         assert!(format!("{refusal:#}").contains("no/figures.csv: expected a file in a folder that exists"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_beside_the_file_redirects_nothing_and_the_file_has_the_mode_of_a_new_one() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let (file, other) = (folder.path().join("figures.csv"), folder.path().join("other"));
+        fs::write(&other, "own").expect("written");
+        std::os::unix::fs::symlink(&other, folder.path().join("figures.csv.part")).expect("a link");
+        write(&file, b"figures").expect("written");
+        assert_eq!(fs::read_to_string(&other).expect("the file"), "own");
+        assert_eq!(fs::read_to_string(&file).expect("the file"), "figures");
+        let mode = |path: &Path| fs::metadata(path).expect("the file").permissions().mode() & 0o777;
+        assert_eq!(mode(&file), mode(&other));
     }
 
     #[test]

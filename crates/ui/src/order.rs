@@ -3,7 +3,9 @@
 use heliostat_proto::StopName;
 use serde::{Deserialize, Deserializer};
 
-/// An order of the page.
+/// An order of the page. Unknown fields are refused, except in a stop: every stop is obeyed.
+///
+/// Serde ignores further fields of a variant without braces, and refuses them for one with braces.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "order", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Order {
@@ -33,7 +35,7 @@ pub enum Order {
         share: f32,
     },
     /// Make all mirrors follow commands again.
-    Release,
+    Release {},
     /// Emergency stop.
     Stop,
     /// End of emergency stops.
@@ -42,9 +44,9 @@ pub enum Order {
         stops: Vec<StopLabel>,
     },
     /// Kill the controller's process.
-    KillController,
+    KillController {},
     /// Start a new controller; the previous one is killed if it still runs.
-    RestartController,
+    RestartController {},
 }
 
 impl Order {
@@ -55,9 +57,9 @@ impl Order {
             Self::Power { .. } => "power",
             Self::Blocked { .. } => "blocked",
             Self::Speed { .. } => "speed",
-            Self::Stick { .. } | Self::Release => "faults",
+            Self::Stick { .. } | Self::Release {} => "faults",
             Self::Stop | Self::Rearm { .. } => "stop",
-            Self::KillController | Self::RestartController => "controller",
+            Self::KillController {} | Self::RestartController {} => "controller",
         }
     }
 }

@@ -124,13 +124,13 @@ impl Published {
                 let is_released = !now.held_stops.iter().any(is_named);
                 return is_released.then(|| still_stopped(&now.held_stops).map_or(Answer::Done, Answer::StillStopped));
             }
-            Order::KillController => now.controllers.is_empty(),
-            Order::RestartController => now.controllers.iter().any(|source| !self.before.has_seen(*source)),
+            Order::KillController {} => now.controllers.is_empty(),
+            Order::RestartController {} => now.controllers.iter().any(|source| !self.before.has_seen(*source)),
             Order::Power { .. }
             | Order::Blocked { .. }
             | Order::Speed { .. }
             | Order::Stick { .. }
-            | Order::Release => {
+            | Order::Release {} => {
                 return self.simulator(now);
             }
         };
@@ -166,7 +166,7 @@ impl Published {
             Order::Speed { max_m_s } => is("speed_max_m_s", f64::from(*max_m_s)),
             Order::Blocked { users } => is("forced_users", f64::from(*users)),
             Order::Stick { .. } => status.gauge("faulty_mirrors").is_some_and(|count| count > 0.0),
-            Order::Release => is("faulty_mirrors", 0.0),
+            Order::Release {} => is("faulty_mirrors", 0.0),
             _ => false,
         };
         is_done.then_some(Answer::Done)
@@ -279,7 +279,7 @@ mod tests {
         };
         // A controller with a token, and one without: it was killed, or hangs.
         for before in [reported(&[4], Some(4)), reported(&[], Some(4))] {
-            let order = Published { before, ..published(Order::RestartController) };
+            let order = Published { before, ..published(Order::RestartController {}) };
             let answer = |controllers: &[u64]| order.answer(&reported(controllers, Some(4)));
             assert_eq!([answer(&[]), answer(&[4]), answer(&[9])], [None, None, Some(Answer::Done)]);
         }

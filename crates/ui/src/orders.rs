@@ -168,14 +168,14 @@ impl Operator {
                 self.control_simulator(id, |control| control.speed_m_s = Some([max_m_s / 20.0, *max_m_s]))
             }
             Order::Stick { share } => self.set_fault(id, FaultKind::Stuck, *share),
-            Order::Release => self.set_fault(id, FaultKind::Healed, 1.0),
+            Order::Release {} => self.set_fault(id, FaultKind::Healed, 1.0),
             Order::Stop => self.stop.stop_and_confirm(BUTTON, STOP_LIMIT).map(drop),
             Order::Rearm { stops } => {
                 let names: Vec<_> = stops.iter().map(|stop| stop.0).collect();
                 self.stop.rearm(&names, BUTTON)
             }
-            Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
-            Order::RestartController => {
+            Order::KillController {} => self.control_processes(ProcessOrder::KillController, "kill the controller"),
+            Order::RestartController {} => {
                 self.control_processes(ProcessOrder::RestartController, "restart the controller")
             }
         }
@@ -213,11 +213,11 @@ impl Order {
             Self::Blocked { users } => format!("block the direct path of {users} users"),
             Self::Speed { max_m_s } => format!("walking speed {max_m_s} m/s"),
             Self::Stick { share } => format!("jam {:.0} % of the mirrors", share * 100.0),
-            Self::Release => "release the jammed mirrors".into(),
+            Self::Release {} => "release the jammed mirrors".into(),
             Self::Stop => "stop".into(),
             Self::Rearm { .. } => "re-arm".into(),
-            Self::KillController => "kill the controller".into(),
-            Self::RestartController => "restart the controller".into(),
+            Self::KillController {} => "kill the controller".into(),
+            Self::RestartController {} => "restart the controller".into(),
         }
     }
 
@@ -253,9 +253,14 @@ mod tests {
     fn orders_are_parsed_strictly_and_their_values_are_checked() {
         let parse = |text: &str| serde_json::from_str::<Order>(text);
         assert_eq!(parse(r#"{"order":"power","watts":1.5}"#).expect("an order"), Order::Power { watts: 1.5 });
-        assert_eq!(parse(r#"{"order":"kill-controller"}"#).expect("an order"), Order::KillController);
-        assert_eq!(parse(r#"{"order":"restart-controller"}"#).expect("an order"), Order::RestartController);
+        assert_eq!(parse(r#"{"order":"kill-controller"}"#).expect("an order"), Order::KillController {});
+        assert_eq!(parse(r#"{"order":"restart-controller"}"#).expect("an order"), Order::RestartController {});
         assert!(parse(r#"{"order":"power","watts":1.5,"volts":3}"#).is_err());
+        for order in [r#""kill-controller""#, r#""restart-controller""#, r#""release""#, r#""rearm","stops":[]"#] {
+            assert!(parse(&format!(r#"{{"order":{order}}}"#)).is_ok(), "{order}");
+            assert!(parse(&format!(r#"{{"order":{order},"volts":3}}"#)).is_err(), "{order}");
+        }
+        assert_eq!(parse(r#"{"order":"stop","volts":3}"#).expect("every stop is obeyed"), Order::Stop);
         assert!(parse(r#"{"order":"explode"}"#).is_err());
         for bad in [
             Order::Power { watts: 0.0 },

@@ -41,7 +41,7 @@ impl Rights {
     /// [`UiError::NoRight`], with the [limit](Self::limit).
     pub(crate) fn check(self, order: &Order) -> Result<(), UiError> {
         match (self.limit(), order) {
-            (None, _) | (_, Order::Stop | Order::KillController | Order::RestartController) => Ok(()),
+            (None, _) | (_, Order::Stop | Order::KillController {} | Order::RestartController {}) => Ok(()),
             (Some(limit), _) => Err(UiError::NoRight(limit)),
         }
     }
@@ -59,7 +59,7 @@ mod tests {
         let viewer = of(Some(AccessRole::Viewer));
         assert_eq!(viewer, Rights::StopOnly);
         assert!(viewer.check(&Order::Stop).is_ok());
-        for order in [Order::Rearm { stops: Vec::new() }, Order::Release, Order::Power { watts: 1.0 }] {
+        for order in [Order::Rearm { stops: Vec::new() }, Order::Release {}, Order::Power { watts: 1.0 }] {
             let refusal = viewer.check(&order).expect_err("no right").to_string();
             assert!(refusal.starts_with(STOP_ONLY), "{refusal}");
             assert!(Rights::All.check(&order).is_ok(), "{order:?}");

@@ -8,8 +8,9 @@ mod full_screen;
 pub(crate) mod texts;
 
 use std::io::{self, IsTerminal};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use heliostat_service::log_limit::EventLimit;
 use heliostat_service::output;
 
 use crate::causes::{not_in, over};
@@ -30,8 +31,9 @@ pub enum Display {
 /// Output by lines.
 #[derive(Debug, Default)]
 pub struct Lines {
-    /// The stops that were printed last.
+    /// The stops at the last call.
     stops: Vec<String>,
+    stop_lines: EventLimit,
     /// The notes and remarks at the last call.
     notes: Vec<String>,
     /// The line of figures that was printed last.
@@ -114,7 +116,9 @@ impl Lines {
         let line = |text: String, is_problem| Line { text, is_problem };
         let mut lines = Vec::new();
         if self.stops != stops {
-            lines.extend(stops.iter().map(|stop| line(stop.clone(), true)));
+            let (now, limit) = (Instant::now(), &mut self.stop_lines);
+            let due = stops.iter().filter_map(|stop| limit.line(now, stop, "the stops change further"));
+            lines.extend(due.map(|stop| line(stop, true)));
             if stops.is_empty() {
                 lines.push(line("no stop is in force".into(), false));
             }
@@ -296,6 +300,17 @@ mod tests {
         assert_eq!(lines.next(&running, &[]), ["no stop is in force"]);
         let over = "over: no driver receives the commands";
         assert_eq!(lines.next(&Figures::default(), &[]), [over, "no messages from the room"]);
+    }
+
+    #[test]
+    fn a_flood_of_stops_writes_a_bounded_number_of_lines_and_its_end_is_one() {
+        let Display::Lines(mut lines) = Display::log(true) else { panic!("lines") };
+        let mut printed = 0;
+        for number in 0..10_000 {
+            printed += lines.next(&figures(3), &[format!("stop {number}")]).len();
+        }
+        assert!(printed < 200, "{printed}");
+        assert_eq!(lines.next(&figures(3), &[]), ["no stop is in force"]);
     }
 
     #[test]

@@ -23,6 +23,7 @@ import sys
 import threading
 import time
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -165,8 +166,8 @@ class _Run:
         self._late = self._dropped = 0
         self._began, self._heard, self._has_array = time.monotonic(), False, False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
-        # Without a bound: no process repeats a stop or a token to this one.
-        self._orders: queue.Queue[bytes] = queue.Queue()
+        # The stops that wait, each once, apart from the messages that may be dropped.
+        self._stops: OrderedDict[bytes, None] = OrderedDict()
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
         self._core = Commander(scenario, self._call, form, self._peer.source, name_of(act))
@@ -235,8 +236,13 @@ class _Run:
         return arrive
 
     def _order(self, payload: bytes) -> None:
-        self._core.note_order(payload, time.time_ns())
-        self._orders.put(payload)
+        if not self._core.note_order(payload, time.time_ns()):
+            self._queued("stop", 0)(payload)
+        elif len(self._stops) < _QUEUE_MAX:
+            self._stops[payload] = None
+        else:
+            # The core holds fewer stops than wait, and each of them withholds every command.
+            self._dropped += 1
 
     def _serve(self, end: float | None) -> None:
         reported, problem, state = -_STATUS_S, "", "running"
@@ -310,18 +316,18 @@ class _Run:
             try:
                 name, array, payload = self._arrived.get(block=wait, timeout=_TICK_S if wait else None)
             except queue.Empty:
-                self._receive_orders()
+                self._receive_stops()
                 return
             wait, self._heard = False, True
-            self._receive_orders()
+            self._receive_stops()
             self._has_array = self._has_array or name in _ARRAY
             self._send(self._core.receive(name, array, payload, time.time_ns()))
 
-    def _receive_orders(self) -> None:
+    def _receive_stops(self) -> None:
         """Gives stops to the core before any report that waits: they withhold its command."""
-        with suppress(queue.Empty):
+        with suppress(KeyError):
             while True:
-                payload = self._orders.get_nowait()
+                payload, _ = self._stops.popitem(last=False)
                 self._heard = True
                 self._send(self._core.receive("stop", 0, payload, time.time_ns()))
 

@@ -53,6 +53,8 @@ from ._watched import Watched
 from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
+_EVENTS_MAX = 100
+_FLOOD_END_S = 10.0
 
 
 def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
@@ -424,6 +426,27 @@ class _Log:
             print(line, file=sys.stderr, flush=True)
 
 
+class _EventLimit:
+    """The lines of events that other processes can cause at any rate: the first ones, then one in ten seconds."""
+
+    def __init__(self, further: str) -> None:
+        self._further, self._events, self._unshown = further, 0, 0
+        self._last = self._shown = -math.inf
+
+    def line(self, event: str, now_s: float) -> str | None:
+        """The line of an event, if one is due."""
+        if now_s - self._last >= _FLOOD_END_S:
+            self._events = 0
+        self._last, self._events = now_s, self._events + 1
+        if self._events <= _EVENTS_MAX:
+            return event
+        self._unshown += 1
+        if now_s - self._shown < _FLOOD_END_S:
+            return None
+        count, self._unshown, self._shown = self._unshown, 0, now_s
+        return f"{self._further} ({count} times)"
+
+
 class _Shown:
     """What the log has shown: each change of the stop, that the device has executed it, and once a second a new
     problem, a loss of the device and its end."""
@@ -432,16 +455,25 @@ class _Shown:
         self._log, self._stop, self._problem = log, stop, ""
         self._is_stopped = self._is_absent = False
         self._connections = 0
+        # Each kind of line has a bound of its own: a flood of stops hides no release.
+        self._ordered = _EventLimit("further stops are ordered")
+        self._executed = _EventLimit("the device has executed further stops")
+        self._released = _EventLimit("the array is released again")
 
     def note_stop(self, stop: str) -> None:
         if stop != self._stop:
-            self._log.show(f"stop ordered by {stop}" if stop else "the array is released")
+            line = f"stop ordered by {stop}" if stop else "the array is released"
+            self._show(self._ordered if stop else self._released, line)
             self._stop, self._is_stopped = stop, False
 
     def note_stopped(self, is_stopped: bool) -> None:
         if is_stopped and not self._is_stopped:
-            self._log.show("the array is stopped: its device has executed the stop")
+            self._show(self._executed, "the array is stopped: its device has executed the stop")
         self._is_stopped = is_stopped
+
+    def _show(self, limit: _EventLimit, event: str) -> None:
+        if line := limit.line(event, time.monotonic()):
+            self._log.show(line)
 
     def note_status(self, status: dict[str, Any]) -> None:
         problem, counters = status["last_problem"], dict(status["counters"])

@@ -3,7 +3,7 @@
 use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::stop_record::with_record_problem;
-use heliostat_driver::stop_record::{self, StopRecord};
+use heliostat_driver::stop_record::{StopLog, StopRecord};
 use heliostat_proto::{ArrayState, Stamp};
 use heliostat_room::SimulatedRoom;
 
@@ -23,6 +23,7 @@ pub(crate) struct ArrayNode {
     published_state: (ArrayState, bool),
     /// The latch in the last reports, and whether the mirrors had executed it; `None` before the first.
     published_latch: Option<(Latch, bool)>,
+    stop_log: StopLog,
     /// Name of the room, for the log.
     room_name: String,
 }
@@ -38,6 +39,7 @@ impl ArrayNode {
             record,
             published_state: (ArrayState::Parked, false),
             published_latch: None,
+            stop_log: StopLog::default(),
             room_name,
         }
     }
@@ -103,7 +105,7 @@ impl ArrayNode {
         let stamp = next_stamp(&mut self.safety_sequence, session, now);
         let latch = room.array(self.index).latch();
         if self.published_latch.as_ref().is_some_and(|published| published.0 != *latch) {
-            stop_record::log_change(&self.room_name, latch);
+            self.stop_log.change(&self.room_name, latch);
         }
         self.published_latch = Some((latch.clone(), room.device_stopped(self.index)));
         session.array(self.index).publish_safety(&room.safety(self.index, stamp))?;

@@ -75,6 +75,7 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     }
     if node.status.take(now.local_ns).is_some() {
         node.ticks.expire(now.local_ns);
+        node.log_refusals();
         publisher.status(node.status_and_metrics(now.room_ns));
     }
     Ok(())

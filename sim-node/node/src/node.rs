@@ -1,6 +1,7 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
 use std::borrow::Cow;
+use std::time::Instant;
 
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
@@ -17,6 +18,8 @@ use heliostat_room::reports::Reports;
 use heliostat_room::reports::schedule::Schedule;
 use heliostat_room::room::SimulatedRoom;
 use heliostat_scenario::{Scenario, Streams};
+use heliostat_service::log_limit::LogLimit;
+use heliostat_service::printable::printable;
 use heliostat_service::{CertificateEnds, Exporter, Page};
 
 use crate::array_node::ArrayNode;
@@ -54,6 +57,9 @@ pub(crate) struct Node {
     pub clock: Clock,
     pub ticks: TickLedger,
     pub refused: RefusalCounts,
+    /// The number of refusals that the log has.
+    logged_refusals: u64,
+    log_limit: LogLimit,
     coverage: Coverage,
     pub telemetry: Schedule,
     pub truth: Schedule,
@@ -125,6 +131,8 @@ impl Node {
             clock,
             ticks: TickLedger::default(),
             refused: RefusalCounts::default(),
+            logged_refusals: 0,
+            log_limit: LogLimit::default(),
             coverage: Coverage::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, 0),
             orders: 0,
@@ -144,11 +152,24 @@ impl Node {
     /// # Errors
     /// This process has to end, because the other one started at the same time.
     pub fn check_claim(&mut self) -> Result<(), NodeError> {
-        let Self { session, refused, .. } = self;
+        let Self { session, refused, logged_refusals, .. } = self;
         session.check_claim(|problem| {
             tracing::warn!("{problem}");
             refused.count(ANOTHER_PROCESS, problem);
+            *logged_refusals += 1;
         })
+    }
+
+    /// Logs the last refusal, if there are new ones and one like it was not logged just before.
+    pub fn log_refusals(&mut self) {
+        let new = self.refused.problems() - std::mem::replace(&mut self.logged_refusals, self.refused.problems());
+        if new == 0 {
+            return;
+        }
+        let problem = format!("refused: {}", printable(self.refused.last_problem()));
+        if let Some(line) = self.log_limit.line(Instant::now(), &problem, new) {
+            tracing::warn!("{line}");
+        }
     }
 
     /// Gives an arrival to an array at a time; returns the command if it was one that was

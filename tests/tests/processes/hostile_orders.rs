@@ -49,6 +49,7 @@ fn values_beyond_their_domain_are_refused_and_the_room_goes_on() {
         wait_until("the valid field", || forced(&observer) == users);
         wait_until(&counter, || observer.counter(NodeKind::SimNode, &counter) > before);
     }
+    wait_until("the refusals in the log", || sim.errors().contains("refused: control: "));
     sim.end().json();
 }
 

@@ -6,7 +6,7 @@
 //! noted by [`note_order`](Repeater::note_order) until the core handles it.
 
 use heliostat_proto::{
-    Nanos, RoomGeometry, Stamp, StopName, decode,
+    EmergencyStop, Nanos, RoomGeometry, Stamp, StopAction, StopName, decode,
     stop_hold::{HeldStop, STOP_REPEAT_NS, StopHold},
 };
 use heliostat_scenario::Scenario;
@@ -52,12 +52,13 @@ impl Repeater {
         }
     }
 
-    /// Notes the payload of an order that arrived at `now`, before the core handles it.
-    pub fn note_order(&mut self, now: Nanos, payload: &[u8]) {
+    /// Notes the payload of an order that arrived at `now`, before the core handles it; true for a stop.
+    pub fn note_order(&mut self, now: Nanos, payload: &[u8]) -> bool {
         // The core counts a payload that does not decode.
-        if let Ok(order) = decode(payload) {
+        decode::<EmergencyStop>(payload).is_ok_and(|order| {
             self.waiting.order(now, &order);
-        }
+            order.action == StopAction::Stop
+        })
     }
 
     /// The core has handled the order of this name.

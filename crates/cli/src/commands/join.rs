@@ -1,6 +1,7 @@
 //! How a command joins a room for a moment. A viewer and a recorder last, and join as peers: a client would see nothing
 //! after the end of its process.
 
+use std::fmt;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, is_joined_through, join_through};
@@ -8,6 +9,27 @@ use heliostat_service::output;
 
 /// Shortest time in which another attempt to connect is of use.
 const AGAIN_FROM: Duration = Duration::from_millis(100);
+
+/// Why there is no connection.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Unconnected {
+    reason: String,
+    /// Whether the reason says what to do.
+    is_advised: bool,
+}
+
+impl fmt::Display for Unconnected {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.reason)
+    }
+}
+
+impl Unconnected {
+    /// The reason, with this advice where it has none of its own.
+    pub fn with_advice(&self, advice: &str) -> String {
+        if self.is_advised { self.reason.clone() } else { format!("{}. {advice}", self.reason) }
+    }
+}
 
 /// That no process answers at an endpoint.
 pub(super) fn unanswered_in_words(endpoint: &str) -> String {
@@ -21,10 +43,10 @@ pub(super) fn accepting_in_words(config: &BusConfig) -> String {
 
 /// Joins a room; fails with the reason where there is no connection. `limit` is the time for a process that accepts
 /// connections and does not answer: it may be slow, or frozen.
-pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
+pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, Unconnected> {
     let begun = Instant::now();
     if !is_joined_through(config) {
-        let bus = Bus::open(config).map_err(|error| error.to_string())?;
+        let bus = Bus::open(config).map_err(|error| Unconnected { reason: error.to_string(), is_advised: true })?;
         if config.listen.is_empty() {
             check_connected(&bus, config, limit)?;
         }
@@ -47,7 +69,7 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one
 /// accepts connections, for it may be slow.
-pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), String> {
+pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), Unconnected> {
     let begun = Instant::now();
     if bus.wait_connected(ACCEPTS_WITHIN) {
         return Ok(());
@@ -58,9 +80,14 @@ pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) ->
 /// Why an endpoint has no connection: a name without address, the problem, or that no process answers. `None` where one
 /// accepts connections.
 pub(super) fn find_problem(config: &BusConfig) -> Option<String> {
-    Bus::find_unresolved(config)
-        .or_else(|| Bus::find_connection_problem(config))
-        .or_else(|| Bus::find_unanswered(config))
+    find_unconnected(config).map(|found| found.reason)
+}
+
+/// As [`find_problem`], with whether the problem says what to do.
+fn find_unconnected(config: &BusConfig) -> Option<Unconnected> {
+    let of = |is_advised| move |reason| Unconnected { reason, is_advised };
+    let advised = Bus::find_unresolved(config).or_else(|| Bus::find_connection_problem(config));
+    advised.map(of(true)).or_else(|| Bus::find_unanswered(config).map(of(false)))
 }
 
 /// What `again` connects, where a process accepts connections and has not answered yet; else why there is no
@@ -69,18 +96,19 @@ pub(super) fn why_unconnected<T>(
     config: &BusConfig,
     limit: Duration,
     again: impl FnOnce() -> Option<T>,
-) -> Result<T, String> {
-    if let Some(problem) = find_problem(config) {
+) -> Result<T, Unconnected> {
+    if let Some(problem) = find_unconnected(config) {
         return Err(problem);
     }
     let endpoints = config.connect.join(", ");
     output::note(accepting_in_words(config));
     again().ok_or_else(|| {
-        format!(
+        let reason = format!(
             "the process at {endpoints} does not answer as a process of a room within {} s: it is frozen, overloaded, or \
              of another kind",
             limit.as_secs_f64()
-        )
+        );
+        Unconnected { reason, is_advised: false }
     })
 }
 
@@ -100,13 +128,18 @@ mod tests {
         let absent = free_loopback_endpoint().expect("a free port");
         let config = BusConfig::new(Room::new("frozen").expect("a valid name"));
         // A limit that has passed with the first attempt: the answer has no further one.
-        let refusal = |endpoint: &str| join(&config.clone().connect_to(endpoint), ACCEPTS_WITHIN).err();
-        assert_eq!(refusal(&absent), Some(format!("no process answers at {absent}")));
-        let refused = refusal(&frozen).unwrap_or_default();
+        let refusal = |endpoint: &str| {
+            let joined = join(&config.clone().connect_to(endpoint), ACCEPTS_WITHIN);
+            joined.err().map(|refused| refused.with_advice("Give --connect")).unwrap_or_default()
+        };
+        assert_eq!(refusal(&absent), format!("no process answers at {absent}. Give --connect"));
+        let refused = refusal(&frozen);
         let expected =
             format!("the process at {frozen} does not answer as a process of a room within 1.2 s: it is frozen");
         assert!(refused.starts_with(&expected), "{refused}");
         let both = config.connect_to(&absent).connect_to(&frozen);
+        let advised = Unconnected { reason: "the certificate expired: renew it".into(), is_advised: true };
+        assert_eq!(advised.with_advice("Give --connect"), "the certificate expired: renew it");
         assert_eq!(join_through(&both, ACCEPTS_WITHIN).1, [absent, frozen]);
     }
 }

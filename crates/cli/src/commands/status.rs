@@ -39,11 +39,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?;
-    let bus = join(&config, OBSERVED).map_err(|reason| {
-        anyhow!(
-            "{reason}. Give --connect the endpoints of the room's process and of the controller, or of their router"
-        )
-    })?;
+    let advice = "Give --connect the endpoints of the room's process and of the controller, or of their router";
+    let bus = join(&config, OBSERVED).map_err(|unconnected| anyhow!(unconnected.with_advice(advice)))?;
     let (view, reports) = (View::open(&bus, None)?, ReportCount::open(&bus)?);
     thread::sleep(OBSERVED);
     let status = RoomStatus::new(config.room.name(), &view, &reports);

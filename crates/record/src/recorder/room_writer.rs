@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION, cut};
-use heliostat_service::{clock::utc_ns, log_limit::LogLimit, printable::printable};
+use heliostat_service::{clock::utc_ns, log_limit::EventLimit, printable::printable};
 
 use super::{Outcome, Settings};
 use crate::account::Account;
@@ -26,9 +26,6 @@ const OTHER_KEYS_MAX: usize = 256;
 const OTHER_KEY_MAX: usize = 256;
 /// Most differing scenarios of processes that are reported.
 const PROBLEMS_MAX: usize = 64;
-/// Most lines about processes that join or leave, within this time: a process can have any number of tokens.
-const PRESENCE_LINES_MAX: u32 = 100;
-const PRESENCE_LINES_WITHIN: Duration = Duration::from_secs(10);
 /// Time after which the recorder reports a missing stream, while there is time to mend it.
 const MISSING_AFTER: Duration = Duration::from_secs(5);
 /// What is wrong where no message was received.
@@ -87,10 +84,8 @@ pub(super) struct RoomWriter<S: Storage> {
     /// Kind and source of the processes in the room, without viewers.
     present: Vec<(NodeKind, u64)>,
     was_present: bool,
-    /// Since when the lines about presences are counted, and their number.
-    presence_lines: (Instant, u32),
-    /// The line that stands for further ones.
-    further: LogLimit,
+    /// The lines about processes that join or leave: a process can have any number of tokens.
+    presence_lines: EventLimit,
     flushed: Instant,
     /// Whether [`RoomWriter::missing_once`] has looked.
     has_looked: bool,
@@ -126,8 +121,7 @@ impl<S: Storage> RoomWriter<S> {
             faults: Vec::new(),
             present: Vec::new(),
             was_present: false,
-            presence_lines: (Instant::now(), 0),
-            further: LogLimit::default(),
+            presence_lines: EventLimit::default(),
             flushed: Instant::now(),
             has_looked: false,
             other_keys: 0,
@@ -179,15 +173,7 @@ impl<S: Storage> RoomWriter<S> {
 
     /// The line about a process that joins or leaves; one in ten seconds stands for those of a flood.
     fn presence_line(&mut self, now: Instant, presence: Presence) -> Option<String> {
-        let (since, lines) = &mut self.presence_lines;
-        if now.saturating_duration_since(*since) >= PRESENCE_LINES_WITHIN {
-            (*since, *lines) = (now, 0);
-        }
-        *lines = lines.saturating_add(1);
-        if *lines <= PRESENCE_LINES_MAX {
-            return Some(presence.to_string());
-        }
-        self.further.line(now, "further processes join or leave", 1)
+        self.presence_lines.line(now, presence, "further processes join or leave")
     }
 
     fn payload(
@@ -367,6 +353,7 @@ mod tests {
     use heliostat_proto::{RoomGeometry, Stamp, encode};
     use heliostat_scenario::Scenario;
     use heliostat_service::MetricsArgs;
+    use heliostat_service::log_limit::{EVENTS_MAX, FLOOD_END};
     use prost::Message;
 
     use super::*;
@@ -437,14 +424,14 @@ mod tests {
     fn a_flood_of_tokens_has_one_line_in_ten_seconds() {
         let room = Room::new("alone").expect("a name");
         let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
-        let begin = writer.presence_lines.0;
+        let begin = Instant::now();
         let mut lines = |at: Duration, sources: u64| {
             let presence = |source| Presence { node: NodeKind::Viewer, source, alive: true };
             (0..sources).filter_map(|source| writer.presence_line(begin + at, presence(source))).count()
         };
-        let most = PRESENCE_LINES_MAX as usize;
+        let most = EVENTS_MAX as usize;
         assert_eq!(lines(Duration::ZERO, 10_000), most + 1);
-        assert_eq!(lines(PRESENCE_LINES_WITHIN, 10_000), most + 1);
+        assert_eq!(lines(FLOOD_END, 10_000), most + 1);
     }
 
     #[test]

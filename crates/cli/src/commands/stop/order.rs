@@ -196,7 +196,7 @@ impl Order {
     /// Joins the room through each endpoint that reaches processes of its own.
     pub fn join_widely(&self, config: BusConfig) -> Result<Room> {
         if !is_joined_through(&config) {
-            self.add(join(&config, self.limit).map_err(unsent)?)?;
+            self.add(join(&config, self.limit).map_err(|error| unsent(error.to_string()))?)?;
             return Ok(config.room);
         }
         let (sessions, unanswered) = join_all_through(&config, ACCEPTS_WITHIN);
@@ -217,7 +217,8 @@ impl Order {
             let (sessions, _) = join_all_through(config, left);
             (!sessions.is_empty()).then_some(sessions)
         });
-        sessions.map_err(unsent)?.into_iter().try_for_each(|bus| self.add(bus))?;
+        let sessions = sessions.map_err(|error| unsent(error.to_string()))?;
+        sessions.into_iter().try_for_each(|bus| self.add(bus))?;
         Ok(config.room.clone())
     }
 

@@ -26,7 +26,7 @@ struct SumRates {
 impl SumRates {
     /// The rate of the credited policy, then those that it is compared with. It is not compared with itself.
     fn rows<'a>(&self, credited: &'a str) -> impl Iterator<Item = (&'a str, f64)> {
-        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle with QoS", self.oracle)];
+        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle", self.oracle)];
         let others = compared.into_iter().filter(move |(name, _)| *name != credited);
         std::iter::once((credited, self.policy)).chain(others)
     }
@@ -326,8 +326,8 @@ mod tests {
     fn the_policy_of_flat_mirrors_is_not_compared_with_itself() {
         let rates = SumRates { policy: 5.0, no_irs: 4.0, flat: 5.0, oracle: 9.0 };
         let names = |credited| rates.rows(credited).map(|(name, _)| name).collect::<Vec<_>>();
-        assert_eq!(names("flat"), ["flat", "no IRS", "oracle with QoS"]);
-        assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle with QoS"]);
+        assert_eq!(names("flat"), ["flat", "no IRS", "oracle"]);
+        assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle"]);
     }
 
     fn controller(policies: &Value) -> ControllerPart {

@@ -90,8 +90,8 @@ impl RoomPart {
     fn ticks_in_words(&self) -> String {
         let Self { ticks, commands, lost_ticks, unattended_ticks, waiting_ticks, late_ticks, .. } = self;
         format!(
-            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks}, waiting at the end \
-             {waiting_ticks}; late {late_ticks}"
+            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks} (no controller, or a stop), \
+             waiting at the end {waiting_ticks} (the answer was on its way); late {late_ticks}"
         )
     }
 
@@ -318,7 +318,8 @@ mod tests {
             ..heliostat_sim_node::Summary::default()
         };
         let room = RoomPart::deserialize(serde_json::to_value(room).expect("a JSON form")).expect("complete");
-        let expected = "ticks 356, commands 354, lost 0, unattended 1, waiting at the end 1; late 0";
+        let expected = "ticks 356, commands 354, lost 0, unattended 1 (no controller, or a stop), waiting at the end 1 (the \
+                        answer was on its way); late 0";
         assert_eq!(room.ticks_in_words(), expected);
     }
 

@@ -146,8 +146,10 @@ export class Charts {
         term.append(explained);
       }
       if (term.firstChild.textContent !== name) term.firstChild.textContent = name;
-      figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
-      figure.children[1].textContent = share;
+      // A text that is replaced during a tap ends the tap.
+      [rate == null ? "–" : rate.toFixed(1), share].forEach((text, index) => {
+        if (figure.children[index].textContent !== text) figure.children[index].textContent = text;
+      });
       figure.children[1].title = share && SHARE_TIP;
     });
   }

@@ -11,6 +11,7 @@ import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.
 import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
+import { openTips } from "./tips.js";
 
 // Theme: the system's until the user chooses one.
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
@@ -88,6 +89,7 @@ async function start() {
   const [charts, orders] = [new Charts(plan), new Orders(plan)];
   orders.check();
   openEvents();
+  openTips();
   const parts = [room, charts, orders];
   const retheme = () => applyTheme(parts);
   retheme();

@@ -33,6 +33,7 @@ static ASSETS: &[Asset] = &[
     Asset { path: "/shapes.js", media: JAVASCRIPT, text: include_str!("../page/shapes.js") },
     Asset { path: "/stale.js", media: JAVASCRIPT, text: include_str!("../page/stale.js") },
     Asset { path: "/stream.js", media: JAVASCRIPT, text: include_str!("../page/stream.js") },
+    Asset { path: "/tips.js", media: JAVASCRIPT, text: include_str!("../page/tips.js") },
     Asset { path: "/worker.js", media: JAVASCRIPT, text: include_str!("../page/worker.js") },
     Asset { path: "/view3d.js", media: JAVASCRIPT, text: include_str!("../page/view3d.js") },
     Asset {

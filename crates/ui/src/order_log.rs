@@ -91,7 +91,9 @@ impl OrderLog {
                 (true, false) => Answer::Missing,
                 (true, true) => Answer::Replaced,
             };
-            let answer = entry.published.answer(reported).unwrap_or(silent);
+            // An array that has returned is still to confirm it: that no array has confirmed it stays the answer.
+            let open = if entry.answer == Answer::Absent { Answer::Absent } else { silent };
+            let answer = entry.published.answer(reported).unwrap_or(open);
             if answer != entry.answer {
                 entry.set(answer);
             }
@@ -179,6 +181,20 @@ mod tests {
         log.lock()[0].published.at -= ANSWER_LIMIT;
         log.review(&blocked(0.0));
         assert_eq!(answers(&log), [Answer::Done, Answer::Replaced]);
+    }
+
+    #[test]
+    fn an_array_that_returns_to_a_stop_confirms_it_without_another_open_answer() {
+        let log = OrderLog::default();
+        log.begin(&Order::Stop, Reported::default());
+        log.review(&Reported::default());
+        assert_eq!(answers(&log), [Answer::Absent]);
+        log.lock()[0].published.at -= ANSWER_LIMIT;
+        let returned = Reported { array_present: true, ..Reported::default() };
+        log.review(&returned);
+        assert_eq!(answers(&log), [Answer::Absent], "it has not confirmed the stop yet");
+        log.review(&Reported { is_stopped: true, ..returned });
+        assert_eq!(answers(&log), [Answer::Done]);
     }
 
     #[test]

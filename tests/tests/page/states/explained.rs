@@ -71,3 +71,30 @@ fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_foll
     let expected = serde_json::json!([[2, 3, 4], [0, 1, 2, 3, 4], [0, 1], [0, 1], []]);
     assert_eq!(browser.run(script), expected);
 }
+
+#[needs("browser")]
+#[test]
+fn a_tap_on_a_figure_shows_its_meaning_within_the_window_and_another_tap_hides_it() {
+    let (_setting, browser) = Setting::shown();
+    for (width, height) in [(390, 844), (1280, 800)] {
+        browser.resize(width, height);
+        // In one script, before the next figures. A figure without a term has no tip.
+        let tips = "const tip = document.getElementById('tip'); \
+             const tap = (of) => { \
+               const part = document.querySelector(of); \
+               part.scrollIntoView({ block: 'center' }); \
+               part.click(); \
+               const { left, top, right, bottom } = tip.getBoundingClientRect(); \
+               const isInView = left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight; \
+               return tip.hidden ? '' : isInView ? tip.textContent : 'outside the window'; }; \
+             const figures = ['#counts dd', '#sum-figures dd', '#quantiles td:nth-child(2)', '#users td:nth-child(4)', '#jain']; \
+             return [figures.map((of) => tap(of).length > 20), tap('#users td:first-child')]";
+        assert_eq!(browser.run(tips), serde_json::json!([[true, true, true, true, true], ""]), "{width} x {height}");
+    }
+    // The keyboard shows the meaning of a term.
+    let focused = "document.querySelector('#counts dfn').focus(); const tip = document.getElementById('tip'); \
+         return !tip.hidden && tip.textContent === document.activeElement.title";
+    assert_eq!(browser.run(focused), true);
+    browser.press(":focus", "\u{E00C}");
+    assert_eq!(browser.run("return document.getElementById('tip').hidden"), true);
+}

@@ -127,9 +127,9 @@ fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figur
                const part = document.getElementById(id).getBoundingClientRect(); \
                return part.height === 0 || part.bottom > innerHeight + 1 || part.right > innerWidth + 1; }}); \
              column.scrollTop = 0; \
-             const first = hidden(['stop', 'chips', 'sentence', 'users', 'jain', 'sum-figures', 'sum-chart', 'operate', 'policy-help']); \
+             const first = hidden(['stop', 'chips', 'sentence', 'users', 'jain', 'sum-figures', 'sum-chart', 'operate', 'policy-help', 'counts']); \
              column.scrollTop = column.scrollHeight; \
-             const last = hidden(['latency-chart', 'quantiles', 'counts', 'last-event', 'stop', 'operate', 'policy-help']); \
+             const last = hidden(['latency-chart', 'quantiles', 'last-event', 'stop', 'operate', 'policy-help']); \
              column.scrollTop = 0; \
              return [...first, ...last, ...(document.documentElement.scrollHeight > innerHeight ? ['page'] : [])]"
         );
@@ -139,6 +139,28 @@ fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figur
              part.scrollHeight > part.clientHeight + 1 || part.scrollWidth > part.clientWidth + 1).map((part) => part.id)";
         assert_eq!(browser.run(cut), json!([]), "{width} x {height}");
     }
+}
+
+#[needs("browser")]
+#[test]
+fn no_name_of_a_counter_wraps_and_no_group_of_orders_or_switch_is_alone_in_a_line() {
+    let (_setting, browser) = Setting::shown();
+    // The places in the lines of the groups, the numbers of lines of switches, names that wrap, and what is too wide.
+    let lines = "const tops = (of) => [...document.querySelectorAll(of)].map((part) => Math.round(part.getBoundingClientRect().top)); \
+         const groups = tops('#operate .control'); \
+         const alone = groups.at(-1) !== groups.at(-2); \
+         const wrapped = [...document.querySelectorAll('#counts dt')].filter((name) => name.clientHeight > 20).length; \
+         const wide = [...document.querySelectorAll('section, .switch, .switch span')].filter((part) => part.scrollWidth > part.clientWidth + 1).length; \
+         const page = document.documentElement; \
+         return [alone, new Set(tops('.switch')).size, wrapped, wide, page.scrollWidth > page.clientWidth]";
+    for (width, height) in [(1920, 1080), (1440, 900), (1280, 800), (1024, 768), (390, 844), (360, 640)] {
+        browser.resize(width, height);
+        assert_eq!(browser.run(lines), json!([false, 1, 0, 0, false]), "{width} x {height}");
+    }
+    browser.resize(1920, 1080);
+    let one_line =
+        "return new Set([...document.querySelectorAll('#operate .control')].map((part) => part.offsetTop)).size";
+    assert_eq!(browser.run(one_line), 1);
 }
 
 #[needs("browser")]

@@ -26,7 +26,7 @@ struct SumRates {
 impl SumRates {
     /// The rate of the credited policy, then those that it is compared with. It is not compared with itself.
     fn rows<'a>(&self, credited: &'a str) -> impl Iterator<Item = (&'a str, f64)> {
-        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle with QoS", self.oracle)];
+        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle", self.oracle)];
         let others = compared.into_iter().filter(move |(name, _)| *name != credited);
         std::iter::once((credited, self.policy)).chain(others)
     }
@@ -90,8 +90,8 @@ impl RoomPart {
     fn ticks_in_words(&self) -> String {
         let Self { ticks, commands, lost_ticks, unattended_ticks, waiting_ticks, late_ticks, .. } = self;
         format!(
-            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks}, waiting at the end \
-             {waiting_ticks}; late {late_ticks}"
+            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks} (no controller, or a stop), \
+             waiting at the end {waiting_ticks} (the answer was on its way); late {late_ticks}"
         )
     }
 
@@ -318,7 +318,8 @@ mod tests {
             ..heliostat_sim_node::Summary::default()
         };
         let room = RoomPart::deserialize(serde_json::to_value(room).expect("a JSON form")).expect("complete");
-        let expected = "ticks 356, commands 354, lost 0, unattended 1, waiting at the end 1; late 0";
+        let expected = "ticks 356, commands 354, lost 0, unattended 1 (no controller, or a stop), waiting at the end 1 (the \
+                        answer was on its way); late 0";
         assert_eq!(room.ticks_in_words(), expected);
     }
 
@@ -326,8 +327,8 @@ mod tests {
     fn the_policy_of_flat_mirrors_is_not_compared_with_itself() {
         let rates = SumRates { policy: 5.0, no_irs: 4.0, flat: 5.0, oracle: 9.0 };
         let names = |credited| rates.rows(credited).map(|(name, _)| name).collect::<Vec<_>>();
-        assert_eq!(names("flat"), ["flat", "no IRS", "oracle with QoS"]);
-        assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle with QoS"]);
+        assert_eq!(names("flat"), ["flat", "no IRS", "oracle"]);
+        assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle"]);
     }
 
     fn controller(policies: &Value) -> ControllerPart {

@@ -182,7 +182,8 @@ fn a_page_logs_as_json() {
         let given = ["ui", "--log-format", "json", "--ui-port", "0", "--connect", &endpoint];
         let page = Process::heliostat(&[&given[..], flags].concat());
         wait_until("the address of the page", || page.errors().contains("the page is at http://"));
-        let ended = page.end();
+        page.signal("TERM");
+        let ended = page.wait();
         assert!(ended.status.success(), "{}", ended.errors);
         assert_version(&ended.errors);
         assert_json(&ended.errors);

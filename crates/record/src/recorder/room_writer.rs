@@ -24,7 +24,7 @@ const FLUSH_EVERY: Duration = Duration::from_secs(1);
 const OTHER_KEYS_MAX: usize = 256;
 /// Longest of them in bytes.
 const OTHER_KEY_MAX: usize = 256;
-/// Most differing scenarios of processes that are reported.
+/// Most problems of which a sender can invent any number, such as differing scenarios.
 const PROBLEMS_MAX: usize = 64;
 /// Time after which the recorder reports a missing stream, while there is time to mend it.
 const MISSING_AFTER: Duration = Duration::from_secs(5);
@@ -231,7 +231,7 @@ impl<S: Storage> RoomWriter<S> {
         let announces = |node: &NodeKind| key == self.room.geometry(*node);
         let Some(node) = [NodeKind::SimNode, NodeKind::Controller].into_iter().find(announces) else { return };
         if let Err(reason) = self.scene.announce(node, geometry) {
-            self.report(format!("the geometry that {node} announces cannot be drawn: {reason}"));
+            self.report_new(format!("the geometry that {node} announces cannot be drawn: {reason}"));
         }
     }
 
@@ -246,6 +246,11 @@ impl<S: Storage> RoomWriter<S> {
             "{} {:016x} uses scenario {}, the recording holds {}; give record or that process the --scenario, --set and --seed of the room",
             status.node, status.stamp.source, status.scenario, self.header.scenario_hash
         );
+        self.report_new(problem);
+    }
+
+    /// Reports a problem that a sender can repeat or invent: each once, and no more than a list has places for.
+    fn report_new(&mut self, problem: String) {
         if self.problems.len() < PROBLEMS_MAX && !self.problems.contains(&problem) {
             self.report(problem);
         }
@@ -389,6 +394,19 @@ mod tests {
         assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
         assert!(after(&[room.command()])[1].starts_with("no position report was received"));
         assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    }
+
+    #[test]
+    fn invented_geometries_do_not_fill_the_list_of_problems() {
+        let room = Room::new("alone").expect("a name");
+        let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
+        for number in 0..2 * PROBLEMS_MAX {
+            let geometry = RoomGeometry { stamp: Stamp::default(), scenario: format!("key-{number} = 1") };
+            let mut payload = Vec::new();
+            encode(&geometry, &mut payload).expect("encodable");
+            writer.take(Item::Payload { key: room.geometry(NodeKind::SimNode), arrived_ns: 1, payload });
+        }
+        assert_eq!(writer.problems.len(), PROBLEMS_MAX);
     }
 
     #[test]

@@ -4,6 +4,8 @@ use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{ArrayState, NodeStatus};
 use heliostat_scenario::ROOM_DIFFERS;
 
+use crate::expiry::EXPIRY;
+
 /// The note about one controller that sees no other process of its room.
 pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: check the link to their host or router, and start them again if they have ended or hang";
 /// Beginning of the note about commands that reach no driver.
@@ -159,12 +161,49 @@ fn alone(note: &str) -> &str {
     note.split(CONSEQUENCES).next().unwrap_or_default()
 }
 
-/// The notes that are neither among the others nor consequences of one of them; one whose figures or consequences alone
-/// differ is the same.
-pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
-    let cause = |note: &str| without_figures(alone(note));
-    let is_other = |note: &str| others.iter().any(|other| cause(other) == cause(note) || has_consequence(other, note));
+/// Whether two texts are one note: figures and consequences may differ.
+fn is_same(one: &str, other: &str) -> bool {
+    without_figures(alone(one)) == without_figures(alone(other))
+}
+
+/// The notes that are neither among the others nor consequences of one of them.
+fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
+    let is_other = |note: &str| others.iter().any(|other| is_same(other, note) || has_consequence(other, note));
     notes.iter().filter(|note| !is_other(note)).collect()
+}
+
+/// Which notes of a log begin and which are over: a note has one line at its begin and one at its end. A consequence
+/// has the lines of its cause. Where it outlives its cause, it has its own lines after [`OUTLIVES_MS`].
+#[derive(Debug, Default)]
+pub(crate) struct NoteLines {
+    /// The notes at the last call.
+    notes: Vec<String>,
+    /// The notes that have outlived their causes, and the times of their lines in ms.
+    outliving: Vec<(String, u64)>,
+}
+
+/// The processes that a cause has kept away return one after another.
+const OUTLIVES_MS: u64 = EXPIRY.as_millis() as u64;
+
+impl NoteLines {
+    /// The notes that begin at this time in ms, and the lines of those that are over.
+    pub fn next(&mut self, at_ms: u64, notes: &[String]) -> (Vec<String>, Vec<String>) {
+        let before = std::mem::replace(&mut self.notes, notes.to_vec());
+        let is_in = |notes: &[String], note: &str| notes.iter().any(|other| is_same(other, note));
+        let has_no_line = |note: &str| self.outliving.iter().any(|(outliving, _)| is_same(outliving, note));
+        let ended =
+            not_in(&before, notes).into_iter().filter(|note| !has_no_line(note)).map(|note| over(note)).collect();
+        let mut begun: Vec<String> = not_in(notes, &before).into_iter().cloned().collect();
+        let has_outlived =
+            |note: &&String| !is_in(&before, note) && before.iter().any(|cause| has_consequence(cause, note));
+        self.outliving.extend(notes.iter().filter(has_outlived).map(|note| (note.clone(), at_ms + OUTLIVES_MS)));
+        self.outliving.retain(|(note, due_ms)| {
+            let is_due = at_ms >= *due_ms;
+            begun.extend(notes.iter().find(|current| is_due && is_same(current, note)).cloned());
+            !is_due && is_in(notes, note)
+        });
+        (begun, ended)
+    }
 }
 
 /// The line about a note that has ended: its fault without advice and consequences, which end with it or have notes of
@@ -213,6 +252,30 @@ mod tests {
         assert_eq!(folded(vec![reports, of_viewer.clone()]), [format!("{of_viewer}, {NO_REPORTS}")]);
         assert_eq!(not_in(std::slice::from_ref(&line), &[of_viewer]), [""; 0], "the same note");
         assert_eq!(not_in(&[driver, "another".to_owned()], &[line]), ["another"], "it is not over");
+    }
+
+    #[test]
+    fn a_consequence_has_the_lines_of_its_cause_and_its_own_where_it_lasts() {
+        let mut lines = NoteLines::default();
+        let driver = format!("{NO_DRIVER}: start a driver");
+        let line = format!("{OTHERS_MISSING}{CONSEQUENCES}{NO_DRIVER}");
+        let [over_cause, over_driver] = [over(&line), over(&driver)];
+        let mut next = |at_ms, notes: &[&String]| {
+            let (begun, ended) = lines.next(at_ms, &notes.iter().map(|note| (*note).clone()).collect::<Vec<_>>());
+            [begun, ended].concat()
+        };
+        assert_eq!(next(0, &[&line]), [line.as_str()]);
+        assert_eq!(next(100, &[&driver]), [over_cause.as_str()]);
+        assert_eq!(next(200, &[]), [""; 0], "it had no line of its own");
+        assert_eq!(next(300, &[&line]), [line.as_str()]);
+        assert_eq!(next(400, &[&driver]), [over_cause.as_str()]);
+        assert_eq!(next(400 + OUTLIVES_MS, &[&driver]), [driver.as_str()], "it lasts");
+        assert_eq!(next(500 + OUTLIVES_MS, &[&driver]), [""; 0]);
+        assert_eq!(next(600 + OUTLIVES_MS, &[]), [over_driver.as_str()]);
+        // A note that becomes a consequence has the line of its cause at the end.
+        assert_eq!(next(9000, &[&driver]), [driver.as_str()]);
+        assert_eq!(next(9100, &[&line]), [line.as_str()]);
+        assert_eq!(next(9200, &[]), [over_cause.as_str()]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
-use crate::causes::{follows_from_stop, not_in, over, without_figures};
+use crate::causes::{NoteLines, follows_from_stop, without_figures};
 use crate::controllers::{ControllerFigures, Role};
 use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
@@ -51,8 +51,8 @@ pub(crate) struct EventLog {
     states: BTreeMap<String, String>,
     /// The problems of each process without their figures, and the times of their last events.
     problems: BTreeMap<String, u64>,
-    /// The notes about the room at the last call.
-    notes: Vec<String>,
+    /// The notes about the room.
+    notes: NoteLines,
     /// The source of each process at the last call.
     sources: BTreeMap<String, String>,
     /// The controllers of the room at the last call.
@@ -136,13 +136,9 @@ impl EventLog {
             }
         }
         self.controllers.clone_from(&figures.controllers);
-        let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
-        for note in not_in(&figures.notes, &notes) {
-            self.push(at_ms, note.clone(), true);
-        }
-        for note in not_in(&notes, &figures.notes) {
-            self.push(at_ms, over(note), false);
-        }
+        let (begun, ended) = self.notes.next(at_ms, &figures.notes);
+        begun.into_iter().for_each(|note| self.push(at_ms, note, true));
+        ended.into_iter().for_each(|line| self.push(at_ms, line, false));
         // Oldest first.
         for order in orders.iter().rev() {
             let Some((answer, is_bad)) = order.answer.in_log() else { continue };

@@ -115,9 +115,15 @@ impl OrderLog {
             .collect()
     }
 
-    /// All kept orders with their answers at the last review, newest first.
+    /// All kept orders for the log of events, newest first, with their answers at the last review. An array that is
+    /// absent for less than [`ANSWER_LIMIT`] can still return and confirm: its order has no answer yet.
     pub fn all(&self) -> Vec<OrderFigures> {
-        self.lock().iter().rev().map(Entry::figures).collect()
+        let in_log = |entry: &Entry| {
+            let is_early = entry.answer == Answer::Absent && entry.published.at.elapsed() < ANSWER_LIMIT;
+            let answer = if is_early { Answer::Sent } else { entry.answer.clone() };
+            OrderFigures { answer, ..entry.figures() }
+        };
+        self.lock().iter().rev().map(in_log).collect()
     }
 
     fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
@@ -184,12 +190,23 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_that_an_absent_array_confirms_soon_has_one_answer_in_the_log() {
+        let log = OrderLog::default();
+        log.begin(&Order::Stop, Reported::default());
+        let shown = log.review(&Reported::default());
+        assert_eq!(shown[0].answer, Answer::Absent, "the page shows it at once");
+        assert_eq!(answers(&log), [Answer::Sent]);
+        log.review(&Reported { array_present: true, is_stopped: true, ..Reported::default() });
+        assert_eq!(answers(&log), [Answer::Done]);
+    }
+
+    #[test]
     fn an_array_that_returns_to_a_stop_confirms_it_without_another_open_answer() {
         let log = OrderLog::default();
         log.begin(&Order::Stop, Reported::default());
+        log.lock()[0].published.at -= ANSWER_LIMIT;
         log.review(&Reported::default());
         assert_eq!(answers(&log), [Answer::Absent]);
-        log.lock()[0].published.at -= ANSWER_LIMIT;
         let returned = Reported { array_present: true, ..Reported::default() };
         log.review(&returned);
         assert_eq!(answers(&log), [Answer::Absent], "it has not confirmed the stop yet");

@@ -10,10 +10,11 @@ pub(crate) mod texts;
 use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
+use heliostat_service::clock::utc_ns;
 use heliostat_service::log_limit::EventLimit;
 use heliostat_service::output;
 
-use crate::causes::{not_in, over};
+use crate::causes::NoteLines;
 use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
@@ -34,8 +35,8 @@ pub struct Lines {
     /// The stops at the last call.
     stops: Vec<String>,
     stop_lines: EventLimit,
-    /// The notes and remarks at the last call.
-    notes: Vec<String>,
+    /// The notes and remarks.
+    notes: NoteLines,
     /// The line of figures that was printed last.
     line: String,
     /// The lines go to the log.
@@ -125,11 +126,12 @@ impl Lines {
             self.stops = stops.to_vec();
         }
         let notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
-        lines.extend(
-            not_in(&notes, &self.notes).into_iter().map(|note| line(note.clone(), figures.notes.contains(note))),
-        );
-        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| line(over(note), false)));
-        self.notes = notes;
+        let (begun, ended) = self.notes.next(utc_ns() / 1_000_000, &notes);
+        lines.extend(begun.into_iter().map(|note| {
+            let is_problem = figures.notes.contains(&note);
+            line(note, is_problem)
+        }));
+        lines.extend(ended.into_iter().map(|text| line(text, false)));
         let of_figures = texts::line(figures);
         if self.line != of_figures && !self.is_quiet {
             lines.push(line(of_figures.clone(), false));

@@ -113,8 +113,21 @@ impl Watched {
 
     /// Looks for the reason why an endpoint has no connection.
     fn search(&self) {
-        let problem = self.identity.as_ref().and_then(|identity| first_problem(identity, &self.endpoints));
-        self.note_problem(problem.or_else(|| self.never_connected()));
+        self.note_found(|| {
+            let problem = self.identity.as_ref().and_then(|identity| first_problem(identity, &self.endpoints));
+            problem.or_else(|| self.never_connected())
+        });
+    }
+
+    /// Notes what a search finds, unless the connections change meanwhile: a search takes long, and the next one finds
+    /// what is still wrong.
+    fn note_found(&self, search: impl FnOnce() -> Option<String>) {
+        let before = lock(&self.found).connections;
+        let problem = search();
+        let open = lock(&self.session).as_ref().map(connections);
+        if open.unwrap_or_else(|| lock(&self.found).connections) == before {
+            self.note_problem(problem);
+        }
     }
 
     /// Why a session that has never had a connection has none.
@@ -131,7 +144,7 @@ impl Watched {
         if self.identity.is_some() { None } else { first_encrypted(&self.endpoints) }
     }
 
-    /// Sets the problem, or none where no endpoint misses a connection any more: a search takes long.
+    /// Sets the problem, or none where no endpoint misses a connection any more.
     fn note_problem(&self, problem: Option<String>) {
         let mut known = lock(&self.found);
         let problem = problem.filter(|_| self.misses_endpoint(known.connections));
@@ -284,6 +297,20 @@ mod tests {
         };
         assert!(shown(0).is_some());
         assert_eq!(shown(1), None);
+    }
+
+    #[test]
+    fn the_reason_of_a_search_that_overlaps_a_connection_is_dropped() {
+        let watched = watched(Role::Peer);
+        let found = |connections: Option<usize>| {
+            watched.note_found(|| {
+                connections.into_iter().for_each(|connections| note_connections(connections, &watched));
+                Some("no process answers".into())
+            });
+            lock(&watched.found).problem.clone()
+        };
+        assert_eq!(found(Some(1)), None, "of the first connection");
+        assert!(found(None).is_some(), "the other endpoint has none");
     }
 
     #[test]

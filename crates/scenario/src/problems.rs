@@ -17,6 +17,13 @@ use crate::scenario::{Scenario, in_words};
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
 
+/// After so many bytes the check begins no further pass: each problem needs one. The longest built-in scenario is read
+/// [`PROBLEMS_MAX`] times.
+const READ_MAX: usize = 1 << 20;
+
+/// The last line of a check that ends at such a bound.
+const UNFINISHED: &str = "the rest of the file is not checked: correct these problems, and check it again";
+
 /// A problem of a scenario file: the line, and in one line of text what was wrong and expected.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
@@ -54,7 +61,9 @@ impl Scenario {
         let mut text = text.to_owned();
         let (mut problems, mut refused_tables) = (Vec::new(), Vec::new());
         let mut removed: Vec<String> = Vec::new();
+        let mut read = 0;
         loop {
+            read += text.len();
             let error = match Self::from_toml(&text) {
                 Ok(scenario) => return checked(problems, Some(scenario), refused_tables),
                 Err(error) => error,
@@ -68,8 +77,11 @@ impl Scenario {
             refused_tables.extend(refused.as_ref().and_then(|entry| table_of(&text, entry.start)));
             let rest = refused.map(|entry| without(&text, entry)).filter(|rest| DeTable::parse(rest).is_ok());
             match rest {
-                Some(rest) if removed.len() < PROBLEMS_MAX => text = rest,
-                _ => return checked(problems, None, refused_tables),
+                Some(rest) if removed.len() < PROBLEMS_MAX && read < READ_MAX => text = rest,
+                rest => {
+                    problems.extend(rest.map(|_| Problem { line: None, text: UNFINISHED.into() }));
+                    return checked(problems, None, refused_tables);
+                }
             }
         }
     }
@@ -208,6 +220,7 @@ fn without(text: &str, entry: Range<usize>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::builtin::BUILTIN_NAMES;
 
     fn problems(text: &str) -> Vec<String> {
         Scenario::check_all(text).problems.iter().map(ToString::to_string).collect()
@@ -258,6 +271,19 @@ mod tests {
             assert!(!problems(text).is_empty(), "{text}");
         }
         assert!(problems("[users]\ncount = 3\n").is_empty());
+    }
+
+    #[test]
+    fn the_passes_over_a_long_text_are_bounded_and_a_built_in_scenario_has_all_of_them() {
+        let keys: String = (0..20_000).map(|number| format!("k{number} = 1\n")).collect();
+        let found = problems(&format!("[room]\n{keys}"));
+        let passes = found.len() - 1;
+        assert!(passes > 0 && passes <= READ_MAX.div_ceil(keys.len()), "{passes} passes over {} bytes", keys.len());
+        assert_eq!(found.last().map(String::as_str), Some(UNFINISHED));
+        for name in BUILTIN_NAMES {
+            let length = Scenario::builtin_text(name).expect("built in").len();
+            assert!(length * PROBLEMS_MAX <= READ_MAX, "{name} has {length} bytes");
+        }
     }
 
     #[test]

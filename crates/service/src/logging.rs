@@ -69,7 +69,9 @@ impl LogArgs {
         let lost = writer.error_counter();
         let log = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
         let started = match self.log_format {
+            // The names of the targets serve the user who selects them.
             LogFormat::Text => log
+                .with_target(std::env::var_os(EnvFilter::DEFAULT_ENV).is_some())
                 .with_writer(writer)
                 .with_ansi(stderr().is_terminal())
                 .fmt_fields(debug_fn(write_field).delimited(" "))

@@ -109,6 +109,7 @@ fn a_demo_whose_process_is_killed_names_it_prints_what_the_other_measured_and_fa
         let ended = demo.wait_mut();
         assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
         assert!(ended.errors.contains(&format!("the {killed} process ended early (signal: 9")), "{}", ended.errors);
+        assert!(!ended.errors.contains("heliostat_"), "no line names a module: {}", ended.errors);
         let summary: Value = serde_json::from_str(ended.output.trim()).expect("a summary");
         assert!(number(&summary, &format!("/{measured}/p50")) > 0.0, "{summary}");
     }

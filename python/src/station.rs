@@ -11,7 +11,7 @@ use heliostat_array::arrivals::Arrivals;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station as Rules};
-use heliostat_array::stop_record::{self, RecordError, RecordTask, StopRecord, StopStore};
+use heliostat_array::stop_record::{self, END_UNSETTLED, RecordError, RecordTask, StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Health, Kit, Watch};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -298,7 +298,9 @@ impl Station {
         let written = lock(&self.written).take();
         self.step(|rules| {
             rules.set_dropped(dropped);
-            written.iter().for_each(|result| rules.finish_record(result));
+            if let Some(result) = &written {
+                rules.finish_record(result);
+            }
             rules.advance(moment(now));
             // A call of the device may have taken long.
             let now = rules.kit().present(moment(now));
@@ -322,17 +324,23 @@ impl Station {
         Ok(self.received().is_empty() && self.rules()?.is_settled())
     }
 
-    /// Writes the record of the emergency stop, and may wait for the disk; returns the problem if it could
-    /// not be written. The next `advance` takes the result.
+    /// Why the present stops are not in the record, for the last line of a driver that ends before they are.
+    #[getter]
+    fn unsettled(&self) -> PyResult<String> {
+        Ok(self.rules()?.record_problem().unwrap_or(END_UNSETTLED).to_owned())
+    }
+
+    /// Writes the record of the emergency stop, and may wait for the disk; returns a line for the log if it could not be
+    /// written, or could be after a failure. The next `advance` takes the result.
     fn write_record(&self) -> Option<String> {
         let task = lock(&self.due).take()?;
         // Taken out, because a lock must not be held while the store lets other threads run.
         let mut store = lock(&self.store).take()?;
         let result = task.run(&mut store);
         *lock(&self.store) = Some(store);
-        let problem = result.as_ref().err().map(ToString::to_string);
+        let line = task.line(&result);
         *lock(&self.written) = Some(result);
-        problem
+        line
     }
 
     /// The payloads that are due, each with the name of its key.

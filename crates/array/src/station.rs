@@ -214,9 +214,10 @@ impl<D: Device> Station<D> {
         self.record.is_settled(self.kit.array().latch())
     }
 
-    /// The task of [`poll_record`](Self::poll_record) has ended; a stop is in force even if it failed.
-    pub fn finish_record(&mut self, result: &Result<(), RecordError>) {
-        self.record.finish(result);
+    /// The task of [`poll_record`](Self::poll_record) has ended; a stop is in force even if it failed. Returns the line of
+    /// a log: the failure, or the end of one.
+    pub fn finish_record(&mut self, result: &Result<(), RecordError>) -> Option<String> {
+        self.record.finish(result)
     }
 
     /// The next report that is due, if any.
@@ -319,7 +320,8 @@ impl<D: Device> Station<D> {
         &self.refused
     }
 
-    fn record_problem(&self) -> Option<&str> {
+    /// Why the present stops are not in the record.
+    pub fn record_problem(&self) -> Option<&str> {
         self.record.problem(self.kit.array().latch(), self.local_ns)
     }
 

@@ -44,6 +44,20 @@ const STOP_LATE: &str = "the emergency stop is not recorded yet: its disk does n
 const RELEASE_LATE: &str =
     "the release is not recorded yet: its disk does not answer; the next start of the driver may be stopped";
 
+/// The problem of a record whose store answers, and of which each state is old when it is written.
+const STOP_BEHIND: &str = "the emergency stop is not recorded yet: stops arrive faster than the disk records them; end \
+                           the process that sends them, and do not restart the driver";
+
+/// The same while no stop is in force.
+const RELEASE_BEHIND: &str = "the release is not recorded yet: stops and releases arrive faster than the disk records \
+                              them; end the process that sends them";
+
+/// The line of a log after a write that ends a failure.
+const RECORDED: &str = "the emergency stop is recorded again: the next start of the driver has its present state";
+
+/// The last line of a driver that ends while messages still arrive, of which none is known to be missing in the record.
+pub const END_UNSETTLED: &str = "stops arrived until the end of the driver: the last ones may not be recorded";
+
 /// Where the text of a record is kept, such as a file.
 pub trait StopStore {
     /// Its name in messages, such as the path of the file.
@@ -83,6 +97,8 @@ pub struct RecordTask {
     latch: Latch,
     /// Written even if the store has it: the state is new, or its last write failed.
     is_due: bool,
+    /// Whether the last write failed.
+    follows_failure: bool,
 }
 
 impl RecordTask {
@@ -90,6 +106,14 @@ impl RecordTask {
     /// result is for [`RecordPlan::finish`].
     pub fn run<S: StopStore>(&self, store: &mut S) -> Result<(), RecordError> {
         if self.is_due || self.is_lost(store) { write(store, &self.latch) } else { Ok(()) }
+    }
+
+    /// The line of a log about its result: why the state is not in the store, or that it is there after a failure.
+    pub fn line(&self, result: &Result<(), RecordError>) -> Option<String> {
+        match result {
+            Err(error) => Some(error.to_string()),
+            Ok(()) => self.follows_failure.then(|| RECORDED.to_owned()),
+        }
     }
 
     /// Whether the store no longer has the stops. A lost record without a stop needs no care: it makes
@@ -128,17 +152,18 @@ impl RecordPlan {
         if self.running.is_some() || !(is_due || is_check) {
             return None;
         }
-        let task = RecordTask { latch: latch.clone(), is_due };
+        let task = RecordTask { latch: latch.clone(), is_due, follows_failure: self.problem.is_some() };
         self.running = Some((task.clone(), local_ns));
         Some(task)
     }
 
-    /// The task that was handed out has ended.
-    pub fn finish(&mut self, result: &Result<(), RecordError>) {
-        if let Some((task, _)) = self.running.take() {
-            self.tried = task.latch;
-            self.problem = result.as_ref().err().map(ToString::to_string);
-        }
+    /// The task that was handed out has ended; returns [its line](RecordTask::line) of a log.
+    pub fn finish(&mut self, result: &Result<(), RecordError>) -> Option<String> {
+        let (task, _) = self.running.take()?;
+        let line = task.line(result);
+        self.tried = task.latch;
+        self.problem = result.as_ref().err().map(ToString::to_string);
+        line
     }
 
     /// Until when a report that names this state waits for its record, in local time; `None` if it does
@@ -155,7 +180,13 @@ impl RecordPlan {
 
     /// Why this state is not in the store.
     pub fn problem(&self, latch: &Latch, local_ns: u64) -> Option<&str> {
-        let late = if latch.stop().is_some() { STOP_LATE } else { RELEASE_LATE };
+        let is_silent = self.running.as_ref().is_some_and(|(_, since_ns)| is_over(*since_ns, local_ns));
+        let late = match (latch.stop().is_some(), is_silent) {
+            (true, true) => STOP_LATE,
+            (true, false) => STOP_BEHIND,
+            (false, true) => RELEASE_LATE,
+            (false, false) => RELEASE_BEHIND,
+        };
         self.problem.as_deref().or(self.is_late(latch, local_ns).then_some(late))
     }
 
@@ -168,8 +199,13 @@ impl RecordPlan {
         // A check that takes long leaves the state where it was written.
         let running_ns = self.running.as_ref().filter(|(task, _)| task.is_due).map(|(_, since_ns)| *since_ns);
         let since_ns = self.unrecorded_ns.filter(|_| *latch != self.tried).or(running_ns);
-        since_ns.is_some_and(|since_ns| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS))
+        since_ns.is_some_and(|since_ns| is_over(since_ns, local_ns))
     }
+}
+
+/// Whether reports have waited for a record since this time for as long as they wait.
+fn is_over(since_ns: u64, local_ns: u64) -> bool {
+    local_ns >= since_ns.saturating_add(REPORT_WAIT_NS)
 }
 
 /// The record of one array with its store.

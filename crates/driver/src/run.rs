@@ -14,7 +14,7 @@ use heliostat_array::kit::Kit;
 use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
-use heliostat_array::stop_record::{END_WAIT_NS, advice};
+use heliostat_array::stop_record::{END_UNSETTLED, END_WAIT_NS, advice};
 use heliostat_array::watch::Watch;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_service::log_limit::LogLimit;
@@ -193,7 +193,8 @@ impl<D: Device> ArrayDriver<D> {
             ended = driver.step(clock);
         }
         if !driver.finish_record(clock, given_up) {
-            tracing::error!("the last emergency stop is not recorded: its disk does not answer");
+            let station = driver.shared.lock();
+            tracing::error!("{}", station.record_problem().unwrap_or(END_UNSETTLED));
         }
         ended?;
         let summary = driver.summary();
@@ -279,11 +280,12 @@ impl<D: Device> Driver<D> {
         let Some(record) = &self.record else { return };
         let written = record.poll_written();
         let mut station = self.shared.lock();
-        written.iter().for_each(|result| station.finish_record(result));
+        let line = written.as_ref().and_then(|result| station.finish_record(result));
         station.poll_record(now).into_iter().for_each(|task| record.begin(task));
         drop(station);
-        if let Some(Err(error)) = written {
-            self.log(&error.to_string());
+        match (written, line) {
+            (Some(Err(_)), Some(problem)) => self.log(&problem),
+            (_, line) => line.into_iter().for_each(|line| tracing::info!("{line}")),
         }
     }
 

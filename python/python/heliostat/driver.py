@@ -371,7 +371,7 @@ def run(
                 if name == "status":
                     shown.note_status(decode(payload, KINDS["status"]))
         if not station.is_settled:
-            log.show("the last emergency stop is not recorded: its disk does not answer")
+            log.show(station.unsettled)
         if taken is not None:
             raise taken
         return station.counters()
@@ -386,8 +386,8 @@ class _Record:
         def work() -> None:
             while self._due.wait():
                 self._due.clear()
-                if problem := station.write_record():
-                    log.show(problem)
+                if line := station.write_record():
+                    log.show(line)
                 done.set()
 
         threading.Thread(target=work, name="stop record", daemon=True).start()

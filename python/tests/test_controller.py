@@ -18,7 +18,7 @@ from heliostat import wire
 from heliostat._core import Commander
 
 pytest.importorskip("zenoh")
-from heliostat.controller import _QUEUE_MAX, _Run
+from heliostat.controller import _QUEUE_MAX, _Run, _Tokens
 from heliostat.peer import PeerError, Settings, connection_problem, endpoints
 from heliostat.tracker import Tracker, User
 from room import LIMIT_S, Observer, free_endpoint, needs_program, observer, wait_until
@@ -317,6 +317,20 @@ def test_a_flood_of_orders_is_bounded_and_drops_no_first_stop() -> None:
         assert len(run._stops) == _QUEUE_MAX
         run._receive()
     assert not run._stops and "withheld by the stop of ann" in (run._core.last_problem or "")
+
+
+def test_a_flood_of_tokens_is_bounded_and_hides_no_end_of_a_process() -> None:
+    tokens = _Tokens()
+    tokens.note("tracker", True)
+    assert tokens.take() == [("tracker", True)]
+    for number in range(4 * _QUEUE_MAX):
+        tokens.note(f"invented-{number}", True)
+        tokens.note(f"invented-{number}", False)
+    tokens.note("tracker", False)
+    changed = dict(tokens.take())
+    assert len(changed) <= _QUEUE_MAX and changed["tracker"] is False
+    tokens.note("tracker", True)
+    assert tokens.take() == [("tracker", True)], "ends give their places back"
 
 
 def test_a_run_that_reaches_a_controller_alone_says_what_is_missing() -> None:

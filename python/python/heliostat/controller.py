@@ -151,6 +151,30 @@ def _keywords_for_flags() -> Iterator[None]:
         raise PeerError(re.sub(flags, _keyword, str(problem))) from problem.__cause__
 
 
+class _Tokens:
+    """The last state of each token since it was taken: of at most `_QUEUE_MAX` processes, and each loses its place when
+    its end is taken. Thus a process that invents tokens hides no end of another one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._known: set[str] = set()
+        self._changed: dict[str, bool] = {}
+
+    def note(self, token: str, is_alive: bool) -> None:
+        """A token has appeared or ended; called by the thread of the session."""
+        with self._lock:
+            if token in self._known or (is_alive and len(self._known) < _QUEUE_MAX):
+                self._known.add(token)
+                self._changed[token] = is_alive
+
+    def take(self) -> list[tuple[str, bool]]:
+        """The tokens that have changed since the last call."""
+        with self._lock:
+            changed, self._changed = self._changed, {}
+            self._known.difference_update(token for token, is_alive in changed.items() if not is_alive)
+        return list(changed.items())
+
+
 class _Run:
     """One run: the session, the core, and the messages between their threads."""
 
@@ -168,7 +192,7 @@ class _Run:
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
         # The stops that wait, each once, apart from the messages that may be dropped.
         self._stops: OrderedDict[bytes, None] = OrderedDict()
-        self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
+        self._tokens = _Tokens()
         self._peer = Peer(settings, "controller", 0, stop)
         self._core = Commander(scenario, self._call, form, self._peer.source, name_of(act))
         self._scenario = scenario
@@ -223,7 +247,7 @@ class _Run:
         # Positions come last, so that the other reports are there when the first decision is due.
         for name in _ROOM:
             self._peer.subscribe(name, self._queued(name, 0))
-        self._peer.watch(lambda key, is_alive: self._present.put((key, is_alive)))
+        self._peer.watch(self._tokens.note)
         self._peer.announce()
 
     def _queued(self, name: str, array: int) -> Callable[[bytes], None]:
@@ -306,8 +330,7 @@ class _Run:
 
     def _receive(self) -> None:
         """Gives all waiting messages to the core; waits a moment for the first one."""
-        while not self._present.empty():
-            token, is_alive = self._present.get_nowait()
+        for token, is_alive in self._tokens.take():
             self._core.presence(token, is_alive, time.time_ns())
             if token != self._peer.keys["alive"]:
                 (self._others.add if is_alive else self._others.discard)(token)

@@ -326,9 +326,9 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
         let variables: BTreeMap<&str, &str> =
             environment.lines().filter(|line| !line.starts_with('#')).filter_map(|line| line.split_once('=')).collect();
         for unit in ["controller", "sim-node", "standby", "driver", "page", "recorder"] {
-            // A room of many processes has a router, as foyer does.
+            // The array of studio is simulated.
             let (program, words): (&str, &[&str]) = match unit {
-                "driver" | "page" | "recorder" if room == "studio" => continue,
+                "driver" if room == "studio" => continue,
                 "driver" => ("heliostat-driver", &["--help"]),
                 "page" | "recorder" => ("heliostat", &["--help"]),
                 _ => ("heliostat", &[]),

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use heliostat_files::write_advice;
+use heliostat_files::{folder_of, is_direct, write_advice, write_whole};
 use thiserror::Error;
 
 use crate::exit::UnusableInput;
@@ -39,11 +39,6 @@ pub fn check_writable(file: &Path) -> Result<()> {
         return File::options().append(true).open(file).map(drop).map_err(refused);
     }
     tempfile::tempfile_in(folder_of(file)).map(drop).map_err(refused)
-}
-
-/// The folder of a file.
-fn folder_of(file: &Path) -> &Path {
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// The error of a file that is not written, with its name and what to do.
@@ -86,24 +81,12 @@ fn absolute(file: &Path) -> Option<PathBuf> {
     Some(beyond_links.unwrap_or(path))
 }
 
-/// Writes a new file beside the final one and renames it. Its name is random: another user of the folder cannot have
-/// placed a link there. A pipe or device is written directly.
+/// Writes a file as [`write_whole`] does.
 ///
 /// # Errors
 /// A file that cannot be written, by name.
 pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
-    let refused = |error| unwritable(file, error, EXPECTED);
-    if is_direct(file) {
-        return fs::write(file, contents).map_err(refused);
-    }
-    let mut part = tempfile::Builder::new();
-    part.prefix(file.file_name().unwrap_or_default()).suffix(".part");
-    // As of every new file: the umask of the process applies.
-    #[cfg(unix)]
-    part.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut part = part.tempfile_in(folder_of(file)).map_err(refused)?;
-    part.write_all(contents).map_err(refused)?;
-    part.persist(file).map(drop).map_err(|error| refused(error.error))
+    write_whole(file, |part| fs::write(part, contents)).map_err(|error| unwritable(file, error, EXPECTED))
 }
 
 /// Writes a file that does not exist yet.
@@ -143,11 +126,6 @@ fn complete(begun: &Path, written: io::Result<()>) -> io::Result<()> {
         drop(fs::remove_file(begun));
     }
     written
-}
-
-/// Whether a path names a pipe or a device.
-fn is_direct(file: &Path) -> bool {
-    file.exists() && !file.is_file()
 }
 
 /// A file that one process holds: another one that asks for it is refused until this value is dropped. Where the file

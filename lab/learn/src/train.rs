@@ -10,6 +10,7 @@ use heliostat_core::observation::USERS_CAPACITY;
 use heliostat_core::policy::NameParser;
 use heliostat_core::policy::actor_file::{key, room_entries};
 use heliostat_environment::exact_states;
+use heliostat_files::write_whole;
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -266,10 +267,14 @@ fn finish(
     let bytes = onnx_file(training, &command, scores)?;
     let file = shipped::file_name(algorithm.policy, training.scenario(), seed);
     let path = args.out.join(&file);
-    std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    let write = |path: &Path, bytes: &[u8]| {
+        write_whole(path, |part| std::fs::write(part, bytes))
+            .with_context(|| format!("cannot write {}", path.display()))
+    };
+    write(&path, &bytes)?;
     let card = Card { file: &file, command: &command, algorithm, training, duration, scores };
     let card_path = path.with_extension("md");
-    std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
+    write(&card_path, card.markdown().as_bytes())?;
     if args.json {
         println!("{}", report((&path, &command), training, duration, scores)?);
     } else {

@@ -2,14 +2,16 @@
 //! stopped.
 //!
 //! Networks, moments of the optimiser and replay are tensors of that file. Other parts of the state
-//! are JSON in a tensor of bytes named `state`. The new file is written beside the old one and then
-//! renamed, so a crash during the write loses nothing. A run with other settings or another
+//! are JSON in a tensor of bytes named `state`. The file is complete at any time, so a crash during
+//! the write loses nothing. A run with other settings or another
 //! scenario cannot be resumed from it.
 
+use std::io;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use candle_core::{Device, Tensor, safetensors};
+use heliostat_files::write_whole;
 use serde_json::Value;
 
 use super::run::Training;
@@ -37,9 +39,8 @@ pub fn save(training: &mut Training, path: &Path) -> anyhow::Result<()> {
     store.put("scenario", &training.scenario().hash())?;
     let bytes = serde_json::to_vec(&store.values)?;
     store.put_tensor("state".into(), Tensor::from_slice(&bytes, bytes.len(), &Device::Cpu)?);
-    let partial = path.with_extension("part");
-    safetensors::save(&store.tensors, &partial).with_context(|| format!("cannot write {}", partial.display()))?;
-    std::fs::rename(&partial, path).with_context(|| format!("cannot replace {}", path.display()))
+    write_whole(path, |part| safetensors::save(&store.tensors, part).map_err(io::Error::other))
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Restores the state of a run from a file.

@@ -5,6 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
+use heliostat_files::write_whole;
 
 use super::run::EpisodeSummary;
 use crate::evaluation::Score;
@@ -28,7 +29,7 @@ impl Curve {
         let old = if episodes_done > 0 { std::fs::read_to_string(path).with_context(context)? } else { String::new() };
         let kept = old.lines().skip(1).filter(|line| number(line).is_some_and(|episode| episode <= episodes_done));
         let text: String = std::iter::once(HEADER).chain(kept).flat_map(|line| [line, "\n"]).collect();
-        std::fs::write(path, text).with_context(context)?;
+        write_whole(path, |part| std::fs::write(part, text)).with_context(context)?;
         let file = OpenOptions::new().append(true).open(path).with_context(context)?;
         Ok(Self { file: BufWriter::new(file) })
     }

@@ -72,6 +72,18 @@ fn another_seed_is_another_run() {
     assert!(refusal.contains("other settings"), "{refusal}");
 }
 
+#[cfg(unix)]
+#[test]
+fn a_link_beside_a_checkpoint_redirects_nothing() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (path, other) = (folder.path().join("checkpoint.safetensors"), folder.path().join("other"));
+    std::fs::write(&other, "own").expect("written");
+    std::os::unix::fs::symlink(&other, path.with_extension("part")).expect("a link");
+    let mut run = training(short(Settings::tuned(1, ChannelMode::Specular)));
+    assert!(!checkpoint(&mut run, &path).is_empty());
+    assert_eq!(std::fs::read_to_string(&other).expect("the file"), "own");
+}
+
 #[test]
 fn a_damaged_checkpoint_is_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -4,15 +4,14 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use heliostat_array::calibration_file::CalibrationFile;
-use heliostat_files::read_text;
-use heliostat_service::whole_file;
+use heliostat_service::{input, whole_file};
 
 /// Reads a calibration file.
 ///
 /// # Errors
 /// A file that cannot be read, or is not a calibration.
 pub fn load(file: &Path) -> Result<CalibrationFile> {
-    let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let text = input::read(file)?;
     CalibrationFile::parse(&text).with_context(|| {
         format!(
             "in {}: expected a calibration of mirrors, as `heliostat calibrate --out FILE` writes it",

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_proto::{AxisLimits, ValidityClock};
+use heliostat_service::input;
 use serde::Deserialize;
 
 use crate::devices::playzerx::{self, PlayzerX};
@@ -91,7 +92,7 @@ impl Config {
     /// A file that cannot be read, or a key that is unknown, missing or of another type, with its
     /// line.
     pub fn load(file: &Path) -> Result<Self> {
-        let text = heliostat_files::read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let text = input::read(file)?;
         toml::from_str(&text).with_context(|| format!("in {}", file.display()))
     }
 

@@ -9,6 +9,7 @@
 //! - [`logging`]: logs to standard error, as text or as JSON.
 //! - [`log_limit`]: bounds the lines of a lasting problem.
 //! - [`output`]: text for a user on standard output and standard error.
+//! - [`input`]: text files that a flag names.
 //! - [`whole_file`]: files that are complete, or not there.
 //! - [`file_id`]: whether a path still leads to the same file.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
@@ -27,6 +28,7 @@ pub mod exit;
 pub mod exporter;
 pub mod file_id;
 pub mod http;
+pub mod input;
 pub mod locks;
 pub mod log_limit;
 pub mod logging;

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use heliostat_files::{excerpt, read_text};
+use heliostat_files::excerpt;
+use heliostat_service::input;
 
 /// Reads a file whose header names all `required` columns, any `optional` ones, and no others.
 ///
@@ -13,7 +14,7 @@ use heliostat_files::{excerpt, read_text};
 /// # Errors
 /// A file that cannot be read, another header, or a cell that is no number.
 pub fn read(file: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Option<f64>>>> {
-    let text = read_text(Path::new(file)).with_context(|| format!("cannot read {file}"))?;
+    let text = input::read(Path::new(file))?;
     parse(&text, required, optional).with_context(|| format!("in {file}"))
 }
 

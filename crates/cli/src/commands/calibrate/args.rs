@@ -6,10 +6,10 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::BusArgs;
 use heliostat_calibrate::Place;
 use heliostat_calibrate::places::{default_spots, default_verification};
-use heliostat_files::read_text;
 use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs};
 use heliostat_service::EndArgs;
 use heliostat_service::exit::UnusableInput;
+use heliostat_service::input;
 
 /// Measure the mirrors, the LEDs and the tracker's frame of a running room.
 ///
@@ -139,7 +139,7 @@ impl Args {
         let mut spots = Vec::new();
         for text in &self.spots {
             if Path::new(text).is_file() {
-                let lines = read_text(Path::new(text)).with_context(|| format!("cannot read {text}"))?;
+                let lines = input::read(Path::new(text))?;
                 let rows = lines.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
                 for row in rows {
                     spots.push(place(row).with_context(|| UnusableInput::new(format!("in {text}")))?);

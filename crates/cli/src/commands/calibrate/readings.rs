@@ -5,11 +5,10 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::{Log, Session};
-use heliostat_files::read_text;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::exit::UnusableInput;
-use heliostat_service::whole_file;
+use heliostat_service::{input, whole_file};
 use serde::{Deserialize, Serialize};
 
 /// What readings belong to: with another room, array or calibration they would be misread.
@@ -116,7 +115,7 @@ impl<'a> Readings<'a> {
 }
 
 fn read(file: &Path) -> Result<Saved> {
-    let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let text = input::read(file)?;
     let unusable = || {
         UnusableInput::new(format!(
             "{} holds no readings of a calibration: name another file, or remove it to begin again",

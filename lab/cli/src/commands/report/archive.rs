@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use heliostat_files::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use heliostat_service::whole_file;
+use heliostat_service::{input, whole_file};
 
 /// The finished sections of one report.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -89,8 +88,7 @@ impl Archive {
     /// # Errors
     /// A file that cannot be read, or is no archive.
     pub fn read(kept: &Path) -> Result<Self> {
-        let file = kept.display();
-        let text = read_text(kept).with_context(|| format!("cannot read {file}"))?;
+        let (text, file) = (input::read(kept)?, kept.display());
         serde_json::from_str(&text).with_context(|| {
             format!("{file} holds no finished sections: delete it or restore it, or leave out --resume")
         })

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use heliostat_files::read_text;
+use heliostat_service::input;
 use serde::Deserialize;
 
 use super::bound::Bound;
@@ -120,7 +120,7 @@ impl Definition {
     /// # Errors
     /// A file that cannot be read, or contradicts itself.
     pub fn read(file: &Path, words: &[(String, String)]) -> Result<Self> {
-        let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let text = input::read(file)?;
         Self::parse(&text, words).with_context(|| format!("in {}", file.display()))
     }
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat._watched import Watched
-from heliostat.driver import _EVENTS_MAX, Capabilities, Device, _EventLimit, _Log, _Shown, run
+from heliostat.driver import _EVENTS_MAX, Capabilities, Device, _EventLimit, _Log, _Record, _Shown, run
 from heliostat.peer import Peer, PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
@@ -393,6 +393,23 @@ def test_a_flood_of_stops_has_a_bounded_number_of_lines_and_hides_no_release(
             shown.note_stop(f"7/{sequence}")
         shown.note_stop("")
     assert capsys.readouterr().err.splitlines()[-1] == "the array is released"
+
+
+def test_a_write_of_the_record_that_fails_again_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    results = ["it is full", "it is full", "it is recorded again", None, "it is full"]
+
+    class Station:
+        def write_record(self) -> str | None:
+            return results.pop(0)
+
+    done = threading.Event()
+    with _Log() as log:
+        record = _Record(Station(), log, done)  # type: ignore[arg-type]
+        while results:
+            record.write()
+            assert done.wait(LIMIT_S)
+            done.clear()
+    assert capsys.readouterr().err.splitlines() == ["it is full", "it is recorded again", "it is full"]
 
 
 def test_the_log_has_each_loss_of_the_device_and_its_end(capsys: pytest.CaptureFixture[str]) -> None:

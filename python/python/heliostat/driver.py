@@ -384,10 +384,12 @@ class _Record:
         self._due = threading.Event()
 
         def work() -> None:
+            shown = None
             while self._due.wait():
                 self._due.clear()
-                if line := station.write_record():
-                    log.show(line)
+                # A write that fails is repeated each second.
+                if (line := station.write_record()) and line != shown:
+                    log.show(shown := line)
                 done.set()
 
         threading.Thread(target=work, name="stop record", daemon=True).start()

@@ -248,7 +248,7 @@ def test_a_stop_that_cannot_be_recorded_is_in_force_and_is_written_again(tmp_pat
     driven.step(1000)
     assert "ann" in (tmp_path / "lab.stop.toml").read_text() and driven.station.last_problem == ""
     assert "is recorded again" in (driven.problem or ""), "a line for the log"
-    driven.step(1000)
+    driven.step(1100)
     assert driven.problem is None, "once"
 
 

@@ -439,3 +439,37 @@ fn the_containers_pass_flags_that_the_programs_accept() {
     let output = Command::new("bash").args(["-c", command]).current_dir(workspace()).output().expect("bash runs");
     assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), version, "{command}");
 }
+
+/// The text of the element whose tag ends first.
+fn content(rest: &str) -> &str {
+    rest.split_once('>').and_then(|(_, text)| text.split('<').next()).unwrap_or_default()
+}
+
+#[test]
+fn the_plan_of_the_page_has_the_sections_of_the_page_in_their_order() {
+    let read =
+        |file: &str| fs::read_to_string(workspace().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let [plan, page, guide] = ["docs/images/page-parts.svg", "crates/ui/page/index.html", "docs/page.md"].map(read);
+    let after = |text: &str, mark: &str| text.split_once(mark).map(|(_, rest)| content(rest).to_owned());
+    let parts: Vec<(String, String)> = plan
+        .split("class=\"number\"")
+        .skip(1)
+        .map(|part| (content(part).to_owned(), after(part, "class=\"name\"").expect("a part has a name")))
+        .collect();
+    // The title of a section is its label, else its heading.
+    let titles: Vec<String> = page
+        .split("<section ")
+        .skip(1)
+        .map(|section| {
+            let tag = section.split('>').next().unwrap_or_default();
+            let label = tag.split_once(" aria-label=\"").and_then(|(_, rest)| rest.split('"').next());
+            label.map(str::to_owned).or_else(|| after(section, "<h2")).expect("a section has a title")
+        })
+        .collect();
+    let sections: Vec<_> = parts.iter().filter(|(number, _)| number.ends_with(char::is_alphabetic)).collect();
+    assert_eq!(sections.len(), titles.len(), "{sections:?}, but the page has {titles:?}");
+    for ((number, name), title) in sections.into_iter().zip(&titles) {
+        assert!(title.starts_with(name.as_str()), "{number} {name} of the plan is {title} on the page");
+        assert!(guide.contains(&format!("**{number} {name}**")), "docs/page.md lacks {number} {name}");
+    }
+}

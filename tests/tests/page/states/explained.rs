@@ -74,6 +74,25 @@ fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_foll
 
 #[needs("browser")]
 #[test]
+fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_nothing() {
+    let (_setting, browser) = Setting::shown();
+    let filled = "return import('/charts.js').then(({ filled }) => { \
+           const at = (...times) => times.map((time_s) => ({ time_s })); \
+           return filled(at(0, 1, 5), at(0.5, 3, 5, 9)).map(({ time_s }) => time_s); })";
+    assert_eq!(browser.run(filled), serde_json::json!([0, 1, 3, 5]), "only what lies in the gap");
+    // The chart asks the server once, for figures that come after a gap.
+    let asked = "return import('/charts.js').then(async ({ Charts }) => { \
+           let asked = 0; \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => { asked += 1; return [[3, { policy: 2 }]]; }); \
+           charts.redraw = { run() {} }; \
+           for (const time_s of [0, 1, 5, 6]) charts.update({ time_s, origin: 'simulated', sum_mbps: { policy: 1 } }, { name: 'greedy', idle: '' }); \
+           await new Promise((resolve) => setTimeout(resolve)); \
+           return [asked, charts.past.map(({ time_s }) => time_s)]; })";
+    assert_eq!(browser.run(asked), serde_json::json!([1, [0, 1, 3, 5, 6]]));
+}
+
+#[needs("browser")]
+#[test]
 fn a_tap_on_a_figure_shows_its_meaning_within_the_window_and_another_tap_hides_it() {
     let (_setting, browser) = Setting::shown();
     for (width, height) in [(390, 844), (1280, 800)] {

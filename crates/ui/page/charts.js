@@ -279,7 +279,7 @@ export class Charts {
     const series = (colour) => ({ stroke: colour, fill: colour, width: 0, paths: bars, points: { show: false } });
     const text = (index) => {
       const [, ...halves] = this.latencyPlot.data;
-      const bucket = index < edges_us.length ? `up to ${edges_us[index]} us` : `over ${edges_us.at(-1)} us`;
+      const bucket = index < edges_us.length ? `up to ${edges_us[index]} µs` : `over ${edges_us.at(-1)} µs`;
       return `${bucket}: ${(halves[0][index] ?? halves[1][index] ?? 0).toFixed(2)} %`;
     };
     this.latencyPlot = this.plot(this.latency, {

@@ -20,6 +20,8 @@ fn a_button_for_blocked_paths_names_the_users_whose_paths_it_blocks() {
     assert_eq!(browser.run(script), serde_json::json!(expected));
     let title = "return document.querySelector('#blocked [data-value=\"2\"]')?.title ?? ''";
     wait_until("the users of a button", || browser.run(title) == "block the direct paths of users 0, 1");
+    let titles = "return ['#power [data-value=\"1\"]', '#speed [data-value=\"0\"]'].map((of) => document.querySelector(of).title)";
+    assert_eq!(browser.run(titles), serde_json::json!(["each LED transmits 1 W of light", "users stand still"]));
     // The button acts on the users that it names.
     browser.click("#blocked [data-value='2']");
     let by_order = "return [...document.querySelectorAll('#users tr')].filter(({ cells }) => cells[1].textContent === 'by order') \

@@ -3,8 +3,8 @@
 //! | code | meaning |
 //! | --- | --- |
 //! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
-//! | 1 | it failed, or it checked something and found it wrong |
-//! | 2 | the command line or an input file cannot be used |
+//! | 1 | it failed, or it checked something and found it wrong; a scenario, a policy or an endpoint that cannot be used is a failure |
+//! | 2 | the command line cannot be read, or another input file cannot be used |
 //! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved, also in a process that it started |
 
 use std::fmt;
@@ -15,7 +15,7 @@ use crate::output;
 
 /// The command failed, or it checked something and found it wrong.
 pub const FAILURE: u8 = 1;
-/// The command line or an input file cannot be used. The argument parser exits with the same code.
+/// The command line cannot be read, or an input file cannot be used. The argument parser exits with the same code.
 pub const USAGE: u8 = 2;
 /// A signal ended the process before its orderly end: 128 + SIGINT, as in a shell.
 pub const INTERRUPTED: u8 = 130;

@@ -30,13 +30,25 @@ const TIPS = {
 };
 const SHARE_TIP = "The figure in % is its share of the oracle's sum rate.";
 
-// The points with an empty one in each gap, so that no line crosses a time without figures.
-export function withGaps(points) {
+// The points, and in each gap those that `within` gives for its two ends.
+function inGaps(points, within) {
   return points.flatMap((point, index) => {
     const before = points[index - 1];
-    return before && point.time_s - before.time_s > GAP_S ? [{ time_s: (before.time_s + point.time_s) / 2 }, point] : [point];
+    return before && isGap(before, point) ? [...within(before, point), point] : [point];
   });
 }
+
+const isGap = (before, point) => point.time_s - before.time_s > GAP_S;
+
+// The points with an empty one in each gap, so that no line crosses a time without figures.
+export const withGaps = (points) => inGaps(points, (before, point) => [{ time_s: (before.time_s + point.time_s) / 2 }]);
+
+// The points with those of the server in each gap: the page was loading, asleep or without a connection then.
+export const filled = (points, kept) =>
+  inGaps(points, (before, point) => kept.filter(({ time_s }) => time_s > before.time_s && time_s < point.time_s));
+
+// The points in the `history` of the server.
+const pointsOf = (history) => history.map(([time_s, sample]) => ({ time_s, ...sample }));
 
 // The stretches of a line in which the mirrors followed the same, each as what it is drawn from: its beginning in s
 // before now, negative, and its name and whether the policy was idle.
@@ -58,12 +70,14 @@ export function markOf(colour, [on, off]) {
 }
 
 export class Charts {
-  constructor(plan) {
+  // `askHistory` gets the history that the server has by then.
+  constructor(plan, askHistory) {
+    this.askHistory = askHistory;
     this.budget = plan.budget_us;
     this.sum = document.getElementById("sum-chart");
     this.latency = document.getElementById("latency-chart");
     this.sumPlot = this.latencyPlot = null;
-    this.past = plan.history.map(([time_s, sample]) => ({ time_s, ...sample }));
+    this.past = pointsOf(plan.history);
     this.followed = { name: "", idle: true };
     this.stretches = [];
     // The legend of the line's earlier colours, above the lines of the chart, which keeps its size.
@@ -96,12 +110,23 @@ export class Charts {
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...this.followed, ...now.sum_mbps });
+      if (newest && isGap(newest, now)) this.fillGaps();
       this.past = settled(this.past.filter((point) => now.time_s - point.time_s <= SPAN_S));
     }
     this.redraw.run(() => {
       this.drawSum(now.time_s);
       this.drawLatency(now.latency);
     });
+  }
+
+  // Without an answer the gaps stay.
+  async fillGaps() {
+    try {
+      const kept = pointsOf(await this.askHistory());
+      this.past = filled(this.past, kept);
+    } catch (error) {
+      console.info(error);
+    }
   }
 
   lines() {
@@ -254,7 +279,7 @@ export class Charts {
     const series = (colour) => ({ stroke: colour, fill: colour, width: 0, paths: bars, points: { show: false } });
     const text = (index) => {
       const [, ...halves] = this.latencyPlot.data;
-      const bucket = index < edges_us.length ? `up to ${edges_us[index]} us` : `over ${edges_us.at(-1)} us`;
+      const bucket = index < edges_us.length ? `up to ${edges_us[index]} µs` : `over ${edges_us.at(-1)} µs`;
       return `${bucket}: ${(halves[0][index] ?? halves[1][index] ?? 0).toFixed(2)} %`;
     };
     this.latencyPlot = this.plot(this.latency, {

@@ -51,7 +51,9 @@ export class Orders {
     this.on("kill", () => ({ order: "kill-controller" }));
     this.on("restart", () => ({ order: "restart-controller" }));
     this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
+    for (const [button, watts] of this.power) button.dataset.title = `each LED transmits ${watts} W of light`;
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
+    for (const [button, max_m_s] of this.speed) button.dataset.title = max_m_s ? `users walk at ${max_m_s} m/s at most` : "users stand still";
     this.blocked = [];
     this.jammed = document.getElementById("label-mirrors");
     if (plan.stop_only) {

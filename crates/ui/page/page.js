@@ -86,7 +86,8 @@ async function start() {
   at("where").title = where;
   at("heat-bar").style.background = heatGradient;
   const room = new Room(at("room"), plan);
-  const [charts, orders] = [new Charts(plan), new Orders(plan)];
+  const askHistory = async () => (await loadPlan()).history;
+  const [charts, orders] = [new Charts(plan, askHistory), new Orders(plan)];
   orders.check();
   openEvents();
   openTips();

@@ -11,12 +11,14 @@ use crate::view::Received;
 
 /// The name while no array reports.
 const NO_REPORT: &str = "no report";
+/// The name while arrays follow commands, and none of a policy.
+const NO_POLICY: &str = "no policy";
 const CALIBRATION: &str = "calibration";
 
 /// What the mirrors follow.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct InCharge {
-    /// The policy, `calibration`, or the state of the arrays; empty while the policy is unknown.
+    /// The policy, `calibration`, `no policy`, or the state of the arrays; empty while the policy is unknown.
     pub name: String,
     /// Why it is not the policy, in a sentence; empty while it is.
     pub idle: String,
@@ -41,6 +43,7 @@ impl Received {
             return InCharge::idle(name, format!("The mirrors do not follow the policy: {name}."));
         }
         if let Some(why) = self.why_not_the_policy() {
+            let name = if state == Some(ArrayState::Following) { NO_POLICY } else { name };
             return InCharge::idle(name, why);
         }
         let policy =
@@ -137,8 +140,9 @@ mod tests {
         let mut received = room(&[ArrayState::Following], "greedy");
         let counters = vec![("standby".to_owned(), 1)];
         take(&mut received, NodeStatus { policy: "greedy".into(), counters, ..NodeStatus::default() });
-        assert_eq!(found(&received), expected("following", true), "it stands by");
+        assert_eq!(found(&received), expected("no policy", true), "it stands by");
         received.alive.clear();
+        assert_eq!(found(&received), expected("no policy", true), "commands of a controller that has left");
         assert_eq!(received.in_charge().idle, "No controller commands the mirrors.");
     }
 

@@ -77,12 +77,11 @@ policies! {
     QLearning: Learned,
     /// Learned: SARSA with a table
     Sarsa: Learned,
-    /// Model-based: damped fixed point over the users' weights
+    /// Model-based: aims mirrors by weights of the users, adjusted until they fit the rates (fixed point)
     FixedPoint: Direct(|room| super::model_based::ModelBased::fixed_point(room.users, room.mirrors).boxed()),
-    /// Model-based: the fixed point, then passes of single mirror moves
+    /// Model-based: as fixed-point, then moves single mirrors to other users where that adds rate
     Greedy: Direct(|room| super::model_based::ModelBased::greedy(room.users, room.mirrors).boxed()),
-    /// Model-based: the multi-start solver, applied to the observation instead of the true state;
-    /// far slower than a tick
+    /// Model-based: the oracle's search on the controller's estimate instead of the true state; far slower than a tick
     Oracle: Direct(|room| super::model_based::ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
     Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
@@ -90,7 +89,7 @@ policies! {
     SineCosine: Direct(|room| super::sine_cosine::sine_cosine(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
     Pso: Direct(|room| super::pso::pso(room.scenario, room.monotonic_ns).boxed()),
-    /// Each mirror serves the user with the largest steering gain
+    /// Each mirror serves the user to whom it brings the most light
     Nearest: Direct(|_| super::nearest::Nearest::new().boxed()),
     /// One random draw per mirror, the same for the complete run
     Random: Direct(|room| super::fixed::Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),

@@ -72,7 +72,7 @@ pub(super) fn counts(counting: &Counting<'_>) -> Vec<Count> {
             CONTROLLER,
             value(controller, "over_budget"),
             true,
-            "Decisions that took longer than the budget of 0.5 ms.",
+            "Decisions that took longer than the budget of 0.5 ms. Other programs on the processor or a slow policy cause them.",
         ),
         (
             "modelled",
@@ -86,9 +86,15 @@ pub(super) fn counts(counting: &Counting<'_>) -> Vec<Count> {
             ROOM,
             value(room, "lost_ticks"),
             true,
-            "Reports of the simulated room that no accepted command answered in time. Those during a stop of all arrays do not count.",
+            "Reports of the simulated room that no accepted command answered in time, for example after the end of a controller. Those during a stop of all arrays do not count.",
         ),
-        ("ticks late", ROOM, value(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
+        (
+            "ticks late",
+            ROOM,
+            value(room, "late_ticks"),
+            true,
+            "Reports of the simulated room that it published late, because other programs used the processor. It is no fault of the controller.",
+        ),
         (
             "fallbacks",
             CONTROLLER,

@@ -20,6 +20,8 @@ fn a_button_for_blocked_paths_names_the_users_whose_paths_it_blocks() {
     assert_eq!(browser.run(script), serde_json::json!(expected));
     let title = "return document.querySelector('#blocked [data-value=\"2\"]')?.title ?? ''";
     wait_until("the users of a button", || browser.run(title) == "block the direct paths of users 0, 1");
+    let titles = "return ['#power [data-value=\"1\"]', '#speed [data-value=\"0\"]'].map((of) => document.querySelector(of).title)";
+    assert_eq!(browser.run(titles), serde_json::json!(["each LED transmits 1 W of light", "users stand still"]));
     // The button acts on the users that it names.
     browser.click("#blocked [data-value='2']");
     let by_order = "return [...document.querySelectorAll('#users tr')].filter(({ cells }) => cells[1].textContent === 'by order') \
@@ -70,6 +72,25 @@ fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_foll
              times('', ''), times('greedy', ''), times()]; })";
     let expected = serde_json::json!([[2, 3, 4], [0, 1, 2, 3, 4], [0, 1], [0, 1], []]);
     assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_nothing() {
+    let (_setting, browser) = Setting::shown();
+    let filled = "return import('/charts.js').then(({ filled }) => { \
+           const at = (...times) => times.map((time_s) => ({ time_s })); \
+           return filled(at(0, 1, 5), at(0.5, 3, 5, 9)).map(({ time_s }) => time_s); })";
+    assert_eq!(browser.run(filled), serde_json::json!([0, 1, 3, 5]), "only what lies in the gap");
+    // The chart asks the server once, for figures that come after a gap.
+    let asked = "return import('/charts.js').then(async ({ Charts }) => { \
+           let asked = 0; \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => { asked += 1; return [[3, { policy: 2 }]]; }); \
+           charts.redraw = { run() {} }; \
+           for (const time_s of [0, 1, 5, 6]) charts.update({ time_s, origin: 'simulated', sum_mbps: { policy: 1 } }, { name: 'greedy', idle: '' }); \
+           await new Promise((resolve) => setTimeout(resolve)); \
+           return [asked, charts.past.map(({ time_s }) => time_s)]; })";
+    assert_eq!(browser.run(asked), serde_json::json!([1, [0, 1, 3, 5, 6]]));
 }
 
 #[needs("browser")]

@@ -342,6 +342,30 @@ fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
     check("an old room");
 }
 
+#[needs("browser")]
+#[test]
+fn a_phone_has_the_complete_name_of_the_room_and_parts_that_a_finger_hits() {
+    let (_setting, browser) = Setting::shown();
+    browser.resize(390, 844);
+    let shown = "const where = document.getElementById('where'); \
+         const small = [...document.querySelectorAll('button, select, summary, .switch')].filter((part) => { \
+           const { width, height } = part.getBoundingClientRect(); \
+           return width < 38 || height < 32; }); \
+         return [small.map((part) => part.id || part.textContent), \
+           where.scrollWidth <= where.clientWidth && where.scrollHeight <= where.clientHeight]";
+    assert_eq!(browser.run(shown), json!([[], true]));
+}
+
+#[needs("browser")]
+#[test]
+fn a_screen_reader_finds_the_sentence_in_a_landmark_and_each_list_as_a_list() {
+    let (_setting, browser) = Setting::shown();
+    let roles = "return [document.querySelectorAll('ul[role], ol[role], dl[role]').length, \
+         document.getElementById('sentence').closest('[role=region][aria-label]') !== null, \
+         document.getElementById('problem').closest('[role=alert]') !== null]";
+    assert_eq!(browser.run(roles), json!([0, true, true]));
+}
+
 /// The focused element: its id, and whether a ring shows the focus.
 fn focused(browser: &Browser) -> (String, bool) {
     let script = "const at = document.activeElement; \

@@ -122,7 +122,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         writer.flush_if_due();
         if let Some(exporter) = exporter.as_ref().filter(|_| exported.is_none_or(|at| at.elapsed() >= EXPORT_EVERY)) {
             exported = Some(Instant::now());
-            exporter.publish(metrics(room.name(), queue.dropped()));
+            exporter.publish(metrics(room.name(), writer.messages(), queue.dropped()));
         }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
             tracing::warn!("so far {missing}");
@@ -157,9 +157,10 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
 }
 
 /// The metrics of a recorder.
-fn metrics(room: &str, dropped: u64) -> Page {
+fn metrics(room: &str, messages: u64, dropped: u64) -> Page {
     let mut page = Page::new(&[("room", room)]);
     page.build_info("recorder", env!("CARGO_PKG_VERSION"));
+    page.counter("heliostat_recorder_messages", "Messages that were recorded", &[], messages);
     let help = "Messages that were not recorded, because the disk was slower than the room";
     page.counter("heliostat_recorder_dropped", help, &[], dropped);
     page

@@ -18,6 +18,8 @@ pub(crate) const NO_SIMULATED_POSITIONS: &str = "the simulator reports no positi
 pub(crate) const NO_REPORTS: &str = "no position reports";
 /// Beginning of the problem of an array that does not follow; its state comes behind a colon.
 pub(crate) const NOT_FOLLOWING: &str = "the array does not follow";
+/// Beginning of the problem of an array that reports faults; their names come behind a colon.
+pub(crate) const FAULTS: &str = "faults of the array";
 /// The problem of a room whose controllers all stand by.
 pub(crate) const ALL_STAND_BY: &str = "no controller leads: each stands by";
 /// The problem of a room in which no telemetry shows the leader.
@@ -50,6 +52,9 @@ fn causes(cause: &str, text: &str) -> bool {
         // Another array that is silent has a cause of its own.
         let is_absent = |name: &str| absent.split(AND).any(|absent| absent == name);
         return text == UNKNOWN_LEADER || silent.is_some_and(|names| names.split(AND).all(is_absent));
+    }
+    if cause.starts_with(FAULTS) {
+        return state == Some(ArrayState::Fault.name());
     }
     let is_uncommanding = [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY].iter().any(|start| cause.starts_with(start));
     is_uncommanding && state.is_some_and(|state| UNCOMMANDED.contains(&state))

@@ -58,7 +58,7 @@ fn assert_version(log: &str) {
 
 #[test]
 fn the_dashboard_uses_metrics_that_a_running_room_serves() {
-    let (room_at, controller_at) = (free_address(), free_address());
+    let (room_at, controller_at, recorder_at) = (free_address(), free_address(), free_address());
     let endpoint = private_endpoint().expect("an endpoint");
     let (room_text, controller_text) = (room_at.to_string(), controller_at.to_string());
     let folder = tempfile::tempdir().expect("a folder");
@@ -77,6 +77,12 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "json",
         "--exit-with-parent",
     ]);
+    let (out, recorder_text) = (folder.path().join("room.mcap").display().to_string(), recorder_at.to_string());
+    let flags = ["--out", &out, "--metrics-listen", &recorder_text, "--exit-with-parent"];
+    let recorder = Process::heliostat(&[&["record", "--connect", &endpoint], &flags[..]].concat());
+    wait_until("messages on the page of the recorder", || {
+        sample_value(&fetch_metrics(recorder_at), "heliostat_recorder_messages_total") > 10.0
+    });
     wait_until("rates, decisions and light on both pages", || {
         sample_value(&fetch_metrics(controller_at), "heliostat_decisions_total") > 10.0
             && sample_value(&fetch_metrics(room_at), "heliostat_sum_rate_bps{room=\"demo\",angles=\"oracle\"}") > 0.0
@@ -84,6 +90,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
             && sample_value(&fetch_metrics(controller_at), "heliostat_light_off") >= 0.0
     });
     let (room_page, controller_page) = (fetch_metrics(room_at), fetch_metrics(controller_at));
+    let recorder_page = fetch_metrics(recorder_at);
     for (page, process) in [(&room_page, &room), (&controller_page, &controller)] {
         let resident = sample_value(page, "process_resident_memory_bytes");
         assert!((1e6..1e9).contains(&resident), "process {}: {resident} bytes", process.id());
@@ -109,7 +116,8 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "heliostat_certificate_end_timestamp_seconds",
         "heliostat_router_certificate_end_timestamp_seconds",
     ];
-    let mut known: BTreeSet<String> = names(&room_page).union(&names(&controller_page)).cloned().collect();
+    let pages = [room_page.as_str(), controller_page.as_str(), recorder_page.as_str()];
+    let mut known: BTreeSet<String> = pages.into_iter().flat_map(names).collect();
     let files = [
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
@@ -141,6 +149,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     let ended = controller.end();
     assert!(ended.status.success(), "{}", ended.errors);
     assert_json(&ended.errors);
+    recorder.end();
     room.end();
 }
 

@@ -25,6 +25,16 @@ impl fmt::Display for Unconnected {
 }
 
 impl Unconnected {
+    /// A reason that says what to do.
+    pub fn advised(reason: impl fmt::Display) -> Self {
+        Self { reason: reason.to_string(), is_advised: true }
+    }
+
+    /// The reason, with `one` where it says what to do, else with `other`.
+    pub fn with_either(&self, one: &str, other: &str) -> String {
+        format!("{}. {}", self.reason, if self.is_advised { one } else { other })
+    }
+
     /// The reason, with this advice where it has none of its own.
     pub fn with_advice(&self, advice: &str) -> String {
         if self.is_advised { self.reason.clone() } else { format!("{}. {advice}", self.reason) }
@@ -46,7 +56,7 @@ pub(super) fn accepting_in_words(config: &BusConfig) -> String {
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, Unconnected> {
     let begun = Instant::now();
     if !is_joined_through(config) {
-        let bus = Bus::open(config).map_err(|error| Unconnected { reason: error.to_string(), is_advised: true })?;
+        let bus = Bus::open(config).map_err(Unconnected::advised)?;
         if config.listen.is_empty() {
             check_connected(&bus, config, limit)?;
         }
@@ -138,7 +148,7 @@ mod tests {
             format!("the process at {frozen} does not answer as a process of a room within 1.2 s: it is frozen");
         assert!(refused.starts_with(&expected), "{refused}");
         let both = config.connect_to(&absent).connect_to(&frozen);
-        let advised = Unconnected { reason: "the certificate expired: renew it".into(), is_advised: true };
+        let advised = Unconnected::advised("the certificate expired: renew it");
         assert_eq!(advised.with_advice("Give --connect"), "the certificate expired: renew it");
         assert_eq!(join_through(&both, ACCEPTS_WITHIN).1, [absent, frozen]);
     }

@@ -15,6 +15,7 @@ use heliostat_service::{EndArgs, duration, output};
 use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
+use super::join::Unconnected;
 use order::{Order, unsent};
 
 /// Time between two looks at a held stop.
@@ -322,7 +323,7 @@ impl OrderArgs {
             }
         }
         match unusable {
-            Some(error) => Err(unsent(error.to_string())),
+            Some(error) => Err(unsent(&Unconnected::advised(error))),
             None => Ok(self.bus.config_or_connect(&AccessRole::ALL)?),
         }
     }

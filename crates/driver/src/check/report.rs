@@ -61,9 +61,10 @@ impl Report {
             (!rules.is_empty()).then(|| format!("{} {words}: {}", rules.len(), rules.join(", ")))
         };
         let broken = named(Verdict::Broken, "broken");
+        let by_hand = format!("{} to try by hand: {}", BY_HAND.len(), BY_HAND.map(|(rule, ..)| rule).join(", "));
         match (broken, named(Verdict::NotJudged, "not judged")) {
-            (None, None) => "every rule is kept".into(),
-            (None, Some(not_judged)) => format!("every rule that could be judged is kept; {not_judged}"),
+            (None, None) => format!("every judged rule is kept; {by_hand}"),
+            (None, Some(not_judged)) => format!("every rule that could be judged is kept; {not_judged}; {by_hand}"),
             (Some(broken), not_judged) => {
                 [Some(broken), not_judged].into_iter().flatten().collect::<Vec<_>>().join("; ")
             }
@@ -94,12 +95,34 @@ impl fmt::Display for Report {
                 Verdict::Broken => "BROKEN",
                 Verdict::NotJudged => "-",
             };
-            writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
-            writeln!(f, "{:27}{evidence}", "")?;
+            write_rule(f, word, (*rule, *requirement, evidence.as_str()))?;
+        }
+        for rule in BY_HAND {
+            write_rule(f, "by hand", rule)?;
         }
         writeln!(f, "{}", self.conclusion())
     }
 }
+
+/// Writes the two lines of a rule: name and requirement, then what was observed or how to try it.
+fn write_rule(f: &mut fmt::Formatter<'_>, word: &str, (rule, requirement, below): (&str, &str, &str)) -> fmt::Result {
+    writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
+    writeln!(f, "{:27}{below}", "")
+}
+
+/// Rules that need a restart of the driver or a second one, and how an engineer tries them.
+const BY_HAND: [(&str, &str, &str); 2] = [
+    (
+        "restart",
+        "a stop is in force after the next start of the driver",
+        "stop the array, end the driver and start it: heliostat status names the stop",
+    ),
+    (
+        "one-driver",
+        "a driver that finds another one of its array ends, and names it",
+        "start the driver a second time, with the same room and array",
+    ),
+];
 
 /// How a driver failed during the check, with the rule at which this was seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,6 +191,9 @@ mod tests {
             findings: vec![finding("follow", Verdict::NotJudged), finding("stop", Verdict::Kept)],
         };
         let text = report.to_string();
+        for (rule, ..) in BY_HAND {
+            assert!(text.contains(&format!("by hand {rule}")), "{text}");
+        }
         let second = text.lines().nth(1);
         assert_eq!(second, report.problem.as_deref(), "{text}");
         assert!(!text.contains("BROKEN"), "{text}");
@@ -187,10 +213,10 @@ mod tests {
         };
         let (kept, broken, not_judged) = (("park", Verdict::Kept), ("stop", Verdict::Broken), Verdict::NotJudged);
         for (findings, last) in [
-            (&[kept][..], "every rule is kept"),
+            (&[kept][..], "every judged rule is kept; 2 to try by hand: restart, one-driver"),
             (
                 &[("follow", not_judged), kept, ("expired", not_judged)],
-                "every rule that could be judged is kept; 2 not judged: follow, expired",
+                "every rule that could be judged is kept; 2 not judged: follow, expired; 2 to try by hand: restart, one-driver",
             ),
             (&[broken, ("follow", not_judged)], "1 broken: stop; 1 not judged: follow"),
             (&[broken, kept], "1 broken: stop"),

@@ -40,7 +40,7 @@ type Judge = fn(&mut TestSession) -> Result<Outcome>;
 /// The name of a rule, its requirement, and what judges it.
 type Rule = (&'static str, &'static str, Judge);
 
-const RULES: [Rule; 27] = [
+const RULES: [Rule; 28] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
     ("telemetry", "at least ten per second, for all mirrors, with consecutive sequence numbers", telemetry),
     ("status", "a node status about once a second, from the source of the telemetry", status),
@@ -72,6 +72,7 @@ const RULES: [Rule; 27] = [
     ("sequence-bound", "a sequence beyond the bound is refused as rejected", bound_rules::sequence),
     ("validity-bound", "a validity beyond the bound is refused as rejected", bound_rules::validity),
     ("calibration-bound", "a gain or an offset beyond its bound is refused", bound_rules::calibration),
+    ("stop-list", "a sender has one stop, and a full list a stop without sender", safety_rules::stop_list),
 ];
 
 /// Judges every rule; `show` takes a line before each.

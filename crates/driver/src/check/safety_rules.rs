@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction, StopReport};
+use heliostat_proto::{ArrayState, Counters, MAX_STOPS, SafetyReport, StopAction, StopReport};
 use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, conditions, not_judged, shows, verdict};
@@ -12,8 +12,14 @@ use super::test_session::{TestSession, bytes};
 /// Observation time of a stop after its sender has left.
 const ORPHAN_WATCH: Duration = Duration::from_millis(1500);
 
+/// Attempts to release all stops: a page repeats those that the list of the array did not name.
+const RELEASES: usize = 5;
+
 /// Lead of a stop from a wrong clock.
 const HOUR_NS: u64 = 3_600_000_000_000;
+
+/// The first of many senders of stops: no other rule uses it, or one above it.
+const OTHER_SENDERS: u64 = 1 << 8;
 
 /// Why a rule is not judged for a driver without safety reports.
 pub const NOT_SUPPORTED: &str = "not supported: the driver publishes no safety report";
@@ -118,10 +124,7 @@ pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
         return not_judged(NO_STOP_REPORT);
     };
     let one = session.send_stop(StopAction::Stop, utc_ns())?;
-    let two = session.send_stop_of_another(utc_ns())?;
-    let names = |report: &StopReport| -> Vec<(u64, u64)> {
-        report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
-    };
+    let two = session.send_stop_of(1)?;
     let held = session.stop_report(|report| names(report) == [one, two] && report.device_stopped);
     let problem = session.fetch_stops()?.map(|report| report.problem).unwrap_or_default();
     let before = session.count();
@@ -142,6 +145,32 @@ pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
             ("the last report has no stop", cleared),
         ],
         &problem,
+    )
+}
+
+/// A later stop of a sender replaces its earlier one, and a stop without sender stands for those that the list
+/// cannot name.
+pub fn stop_list(session: &mut TestSession) -> Result<Outcome> {
+    if session.fetch_stops()?.is_none() {
+        return not_judged(NO_STOP_REPORT);
+    }
+    session.send_stop_of(OTHER_SENDERS)?;
+    let later = session.send_stop_of(OTHER_SENDERS)?;
+    let replaced = session.stop_report(|report| names(report) == [later]).is_some();
+    for sender in 1..=MAX_STOPS as u64 {
+        session.send_stop_of(OTHER_SENDERS + sender)?;
+    }
+    let full = session.stop_report(|report| report.stops.len() == MAX_STOPS && names(report).contains(&(0, 0)));
+    let from = session.count();
+    let released = release_all(session)?;
+    let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
+    conditions(
+        &[
+            ("a later stop of a sender replaces its earlier one", replaced),
+            ("of more senders than the list holds, the last place is that of a stop without sender", full.is_some()),
+            ("re-arms by the names in the list release all of them", released && parked),
+        ],
+        "",
     )
 }
 
@@ -220,6 +249,30 @@ fn rearm_unnamed(session: &mut TestSession) -> Result<()> {
     }
     let report = session.fetch_safety()?.context("no safety report: expected one in a room with keys")?;
     session.send_rearm(report.stop_source, report.stop_sequence)
+}
+
+/// The names of the stops in a report.
+fn names(report: &StopReport) -> Vec<(u64, u64)> {
+    report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
+}
+
+/// Releases the stops that the array lists, also those that a holder then repeats; whether the list stays empty.
+fn release_all(session: &TestSession) -> Result<bool> {
+    for _ in 0..RELEASES {
+        let held = session.inspect(|received| received.stops.last().map(names)).unwrap_or_default();
+        for (source, sequence) in held {
+            session.send_rearm(source, sequence)?;
+        }
+        if session.stop_report(|report| report.stops.is_empty()).is_none() {
+            return Ok(false);
+        }
+        let again = session
+            .wait(ORPHAN_WATCH, |received| received.stops.last().filter(|last| !last.stops.is_empty()).map(names));
+        if again.is_none() {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Releases a stop by its name; whether the array parks.

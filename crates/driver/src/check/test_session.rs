@@ -289,9 +289,9 @@ impl TestSession {
         Ok((stamp.source, stamp.sequence))
     }
 
-    /// Publishes a stop of another sender; returns source and sequence of it.
-    pub fn send_stop_of_another(&self, time_ns: Nanos) -> Result<(u64, u64)> {
-        let stamp = self.stop_stamp(self.source ^ 1, time_ns);
+    /// Publishes a stop of another sender, who is not there; returns source and sequence of it.
+    pub fn send_stop_of(&self, sender: u64) -> Result<(u64, u64)> {
+        let stamp = self.stop_stamp(self.source ^ sender, utc_ns());
         self.stops.put(&stop_message(stamp, StopAction::Stop)?)?;
         Ok((stamp.source, stamp.sequence))
     }

@@ -300,13 +300,13 @@ impl Port {
 
     fn no_answer(&self, limit: Duration) -> DeviceError {
         let limit = limit.as_millis();
-        let problem = match self.pending.len() {
+        let found = match self.pending.len() {
             0 => format!("no answer within {limit} ms"),
-            bytes => {
-                format!("no line within {limit} ms, but {bytes} bytes without an end: check the speed of the port")
-            }
+            bytes => format!("no line within {limit} ms, but {bytes} bytes without an end"),
         };
-        DeviceError::new(&self.name, problem)
+        // A device at another speed often takes no line of the host for one, and is silent.
+        let speed = if self.name.starts_with("serial:") { ", and the speed of the port" } else { "" };
+        DeviceError::new(&self.name, format!("{found}: check the address and the power of the device{speed}"))
     }
 
     fn endless(&self) -> DeviceError {
@@ -402,6 +402,23 @@ mod tests {
             let address = Address::parse(&text, 115_200).expect("an address");
             let error = address.open(&interrupt, b"stop\n").err().expect("no device is there").to_string();
             assert!(error.contains(&text) && error.ends_with(advice), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_device_that_does_not_answer_is_named_with_what_to_check() {
+        let silent = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = format!("tcp:{}", silent.local_addr().expect("bound"));
+        let interrupt = Arc::new(Interrupt::new().expect("an interrupt"));
+        let mut port =
+            Address::parse(&address, 115_200).expect("an address").open(&interrupt, b"stop\n").expect("open");
+        for (name, advice) in [
+            (address.as_str(), ": check the address and the power of the device"),
+            ("serial:/dev/ttyUSB0@9600", ": check the address and the power of the device, and the speed of the port"),
+        ] {
+            name.clone_into(&mut port.name);
+            let error = port.line(Duration::ZERO).expect_err("it is silent").to_string();
+            assert_eq!(error, format!("{name}: no answer within 0 ms{advice}"));
         }
     }
 }

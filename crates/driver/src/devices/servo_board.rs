@@ -118,7 +118,10 @@ impl ServoBoard {
     fn check_hello(&self, answer: &str) -> Result<(), String> {
         let words: Vec<&str> = answer.split_whitespace().collect();
         let ["heliostat", "1", mirrors, min, max, feedback] = words[..] else {
-            return Err(format!("answered hello with {answer:?}: expected heliostat 1 MIRRORS MIN MAX FEEDBACK"));
+            let speed = if answer.is_ascii() { "" } else { "; check the speed of the port" };
+            return Err(format!(
+                "answered hello with {answer:?}: expected heliostat 1 MIRRORS MIN MAX FEEDBACK{speed}"
+            ));
         };
         if mirrors.parse() != Ok(self.channels) {
             return Err(format!("has {mirrors} mirrors: expected {}, as configured", self.channels));
@@ -220,5 +223,18 @@ impl Board for ServoBoard {
     fn stop(&mut self) -> Result<(), DeviceError> {
         let answer = self.ask(STOP, STOP_LIMIT)?;
         self.check_ok(&answer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_that_is_no_text_names_the_speed_of_the_port() {
+        let board = ServoBoard::new(Address::Tcp("127.0.0.1:1".into()), 1, AxisLimits::default(), false);
+        let refusal = |answer: &str| board.check_hello(answer).expect_err("no answer of a board");
+        assert!(refusal("\u{fffd}\u{fffd}0").ends_with("FEEDBACK; check the speed of the port"));
+        assert!(refusal("hello").ends_with("FEEDBACK"));
     }
 }

@@ -198,6 +198,7 @@ enum Flaw {
     ReleasesAnyName,
     UsesAnyGain,
     IgnoresRepetitions,
+    ListsFewStops,
     PublishesNoSafety,
     PublishesNoStatus,
     PublishesAnothersStatus,
@@ -283,8 +284,9 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         if flaw != Flaw::PublishesNoSafety && (Instant::now() >= announcement || *kit.array().latch() != latch) {
             latch.clone_from(kit.array().latch());
             session.publish_safety(&kit.safety(stamp)).unwrap();
-            if flaw == Flaw::IgnoresRepetitions {
-                let stops = latch.stops().iter().map(LatchedStop::report).collect();
+            if matches!(flaw, Flaw::IgnoresRepetitions | Flaw::ListsFewStops) {
+                let listed = if flaw == Flaw::ListsFewStops { 4 } else { usize::MAX };
+                let stops = latch.stops().iter().take(listed).map(LatchedStop::report).collect();
                 let report =
                     StopReport { stamp, device_stopped: latch.stop().is_some(), stops, ..StopReport::default() };
                 session.publish_stops(&report).unwrap();
@@ -309,7 +311,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
 
 #[test]
 fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
-    let cases: [(Flaw, &str, &[&str]); 13] = [
+    let cases: [(Flaw, &str, &[&str]); 14] = [
         (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop", "safety-report", "named-rearm"]),
         (Flaw::ReleasesOrphanedStops, "releases-stops", &["orphaned-stop"]),
         (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch", "epoch-bound", "sequence-bound"]),
@@ -319,6 +321,7 @@ fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
         (Flaw::FollowsAnyNumber, "numbers", &["epoch-bound", "sequence-bound", "validity-bound"]),
         (Flaw::FollowsAnyValidity, "validity", &["validity-bound"]),
         (Flaw::IgnoresRepetitions, "repetitions", &["stop-repetition"]),
+        (Flaw::ListsFewStops, "few-stops", &["stop-list"]),
         (Flaw::ReleasesAnyName, "names", &["named-rearm"]),
         (Flaw::UsesAnyGain, "gains", &["calibration-bound"]),
         (Flaw::PublishesNoStatus, "no-status", &["status"]),
@@ -348,6 +351,7 @@ fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
         "sequence-bound",
         "validity-bound",
         "calibration-bound",
+        "stop-list",
     ];
     assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), expected, "{report}");
     assert_eq!(broken(&report), [""; 0], "{report}");

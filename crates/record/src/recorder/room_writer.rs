@@ -286,6 +286,11 @@ impl<S: Storage> RoomWriter<S> {
         }
     }
 
+    /// Messages that were recorded, in all files of a ring.
+    pub(super) fn messages(&self) -> u64 {
+        self.account.messages()
+    }
+
     /// Length of the present file in bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.recording.as_ref().map_or(0, Recording::bytes)

@@ -4,7 +4,7 @@ use heliostat_proto::ArrayState;
 use heliostat_proto::messages::fault;
 
 use super::RoomStatus;
-use crate::causes::NOT_FOLLOWING;
+use crate::causes::{FAULTS, NOT_FOLLOWING};
 
 impl RoomStatus {
     /// Whether the stops have this problem of a process, as that of a stop that is not recorded.
@@ -25,7 +25,7 @@ impl RoomStatus {
         let of_stop = if self.stops.is_empty() { Vec::new() } else { fault::names(fault::STOP) };
         let faults = array.faults.iter().copied().filter(|fault| !of_stop.contains(fault));
         let faults: Vec<String> = faults.map(with_advice).collect();
-        let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
+        let faults = (!faults.is_empty()).then(|| format!("{FAULTS}: {}", faults.join(", ")));
         state.into_iter().chain(faults)
     }
 
@@ -78,6 +78,14 @@ mod tests {
         assert_eq!(found(&[stop], vec!["stop"]), [stop]);
         assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
         assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
+    fn a_lost_device_is_one_problem_of_its_array() {
+        let array = ArrayFigures { state: "fault".into(), faults: vec!["link", "mirror"], ..ArrayFigures::default() };
+        let figures = Figures { controllers: vec![ControllerFigures::default()], array, ..Figures::default() };
+        let found = RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
+        assert_eq!(found, ["faults of the array: link, mirror; it causes: the array does not follow"]);
     }
 
     #[test]

@@ -39,7 +39,8 @@ pub fn run(args: &ApplyArgs) -> Result<()> {
     let file = read(args).context(UnusableInput::new("this calibration cannot be applied"))?;
     let config = args.bus.config_or_connect(&[AccessRole::Calibrator])?;
     let bus = join(&config, WAIT).map_err(|reason| {
-        anyhow!("{reason}. {NOTHING_SENT}: give --connect the endpoint of the driver or of its router")
+        let advised = format!("{NOTHING_SENT}: give --connect the endpoint of the driver or of its router");
+        anyhow!(reason.with_either(NOTHING_SENT, &advised))
     })?;
     let (order, took) = apply(args, &bus, &file)?;
     show(args, &bus, &order, took)?;

@@ -16,7 +16,9 @@ use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
 use heliostat_ui::StopSwitch;
 
-use crate::commands::join::{accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected};
+use crate::commands::join::{
+    Unconnected, accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected,
+};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
@@ -196,7 +198,7 @@ impl Order {
     /// Joins the room through each endpoint that reaches processes of its own.
     pub fn join_widely(&self, config: BusConfig) -> Result<Room> {
         if !is_joined_through(&config) {
-            self.add(join(&config, self.limit).map_err(|error| unsent(error.to_string()))?)?;
+            self.add(join(&config, self.limit).map_err(|reason| unsent(&reason))?)?;
             return Ok(config.room);
         }
         let (sessions, unanswered) = join_all_through(&config, ACCEPTS_WITHIN);
@@ -217,7 +219,7 @@ impl Order {
             let (sessions, _) = join_all_through(config, left);
             (!sessions.is_empty()).then_some(sessions)
         });
-        let sessions = sessions.map_err(|error| unsent(error.to_string()))?;
+        let sessions = sessions.map_err(|reason| unsent(&reason))?;
         sessions.into_iter().try_for_each(|bus| self.add(bus))?;
         Ok(config.room.clone())
     }
@@ -234,11 +236,10 @@ impl Order {
 }
 
 /// What an operator has to know where no process answers.
-pub(super) fn unsent(reason: String) -> anyhow::Error {
-    anyhow!(
-        "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the controller, of \
-         the driver or of their router. To stop the mirrors now, cut their power"
-    )
+pub(super) fn unsent(reason: &Unconnected) -> anyhow::Error {
+    let known = "Nothing was sent, and nothing is known about the arrays";
+    let advised = format!("{known}: give --connect the endpoint of the controller, of the driver or of their router");
+    anyhow!("{}. To stop the mirrors now, cut their power", reason.with_either(known, &advised))
 }
 
 /// Says why one of several endpoints has no connection.
@@ -257,4 +258,26 @@ fn note_unconnected(config: &BusConfig) {
         "{reason}. Until a process connects, no array has the stop: to stop the mirrors now, cut their power. The stop is \
          sent to the first process that connects"
     ));
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_bus::free_loopback_endpoint;
+
+    use super::*;
+
+    #[test]
+    fn only_a_reason_that_names_no_remedy_of_its_own_gets_one() {
+        let keys = unsent(&Unconnected::advised("the certificate expired: renew it")).to_string();
+        assert_eq!(
+            keys,
+            "the certificate expired: renew it. Nothing was sent, and nothing is known about the arrays. To stop the \
+             mirrors now, cut their power"
+        );
+        let absent = free_loopback_endpoint().expect("a free port");
+        let config = BusConfig::new(Room::new("unsent").expect("a valid name")).connect_to(&absent);
+        let refused = join(&config, Duration::ZERO).err().expect("no process is there");
+        let refused = unsent(&refused).to_string();
+        assert!(refused.contains("about the arrays: give --connect the endpoint of the controller"), "{refused}");
+    }
 }

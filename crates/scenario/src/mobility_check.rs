@@ -27,18 +27,33 @@ impl Users {
         self.social_force.check()?;
         within("users.seated.turn_mean_s", self.seated.turn_mean_s, 0.1..=1e6)?;
         within("users.seated.spacing_m", self.seated.spacing_m, 0.0..=10.0)?;
-        self.check_seats(room)?;
-        self.check_mixture()
+        self.check_mixture()?;
+        self.check_seats(room)
     }
 
     fn check_seats(&self, room: &Room) -> Result<(), ScenarioError> {
         let [x, y] = room.floor_m();
         let domains = [("x", x), ("y", y)];
         self.seats_m.iter().try_for_each(|seat| place("users.seats_m", seat, &domains))?;
-        let seated = if self.mobility == MobilityModel::Seated { self.count } else { 0 };
-        match self.seats_m.len() {
-            0 => Ok(()),
-            seats => count("users.seats_m (entries)", seats, seated..=1024),
+        if self.seats_m.is_empty() {
+            return Ok(());
+        }
+        // A user without a seat of its own would sit at a place drawn at random.
+        count("users.seats_m (entries)", self.seats_m.len(), self.seated_least()..=1024)?;
+        let is_taken = |(index, seat): &(usize, &[f64; 2])| self.seats_m[..*index].contains(*seat);
+        match self.seats_m.iter().enumerate().find(is_taken) {
+            Some((_, [x, y])) => invalid("users.seats_m", format!("[{x}, {y}]"), "expected each seat once"),
+            None => Ok(()),
+        }
+    }
+
+    /// Number of users who sit whatever the seed: the shares of a mixture leave it open.
+    fn seated_least(&self) -> usize {
+        let entries = self.mixture.iter().filter(|entry| entry.mobility == MobilityModel::Seated);
+        match self.mobility {
+            MobilityModel::Seated => self.count,
+            MobilityModel::Mixture => entries.filter_map(|entry| entry.count).sum(),
+            _ => 0,
         }
     }
 

@@ -65,6 +65,20 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         ),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
     );
+    let because = refused_orientations(scenario);
+    add(
+        because.is_none(),
+        "the use of reported orientations",
+        because.unwrap_or_default(),
+        "every report is too old and refused, so receivers are held as if none were reported; lower the latency, or raise control.report_age_max_ms",
+    );
+    let because = gap_between_orientations(scenario);
+    add(
+        because.is_none(),
+        "the use of reported orientations in each decision",
+        because.unwrap_or_default(),
+        "decisions between take receivers as if no orientation were reported; set control.belief to \"filter\", raise control.report_age_max_ms, or the rate",
+    );
     let because = gap_between_commands(scenario);
     add(
         because.is_none(),
@@ -101,7 +115,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("blockage.forced_users = {}", scenario.blockage.forced_users),
         "no body or obstacle blocks a forced path, so the gains show headings and obstacles that do not exist, above all with several LEDs; block paths by blockage.bodies and blockage.obstacles_per_m2",
     );
-    let is_reported = streams.orientation.is_some();
+    let is_reported = accepted_orientations(scenario).is_some();
     add(
         scenario.blockage.bodies || is_reported,
         "the heading of a standing user by measured gains",
@@ -122,7 +136,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     });
     add(
         because.is_none(),
-        "the tilt of receivers, which is one for all users",
+        "one tilt for the receivers of all users",
         because.unwrap_or_default(),
         "all receivers count as tilted or all as facing up, so expected gains of some users are wrong; report orientations",
     );
@@ -212,6 +226,36 @@ pub fn small_range(scenario: &Scenario, model: &ChannelModel) -> Option<Conditio
     let because = range::too_small(scenario, model)?;
     let consequence = "users elsewhere get none; widen the range, or move the mirrors or the LEDs".into();
     Some(Condition { method: "light by mirrors on all of the floor".into(), because, consequence })
+}
+
+/// The stream of orientation reports; `None` where there is none, or where the controller refuses each report because
+/// it is too old at its arrival.
+fn accepted_orientations(scenario: &Scenario) -> Option<&scenario::OrientationStream> {
+    let is_accepted = |latency_ms: f64| latency_ms <= scenario.control.report_age_max_ms;
+    scenario.streams.orientation.as_ref().filter(|stream| is_accepted(stream.latency_ms))
+}
+
+/// The keys by which each orientation report is too old at its arrival.
+fn refused_orientations(scenario: &Scenario) -> Option<String> {
+    let stream = scenario.streams.orientation.as_ref()?;
+    accepted_orientations(scenario).is_none().then(|| {
+        format!(
+            "streams.orientation.latency_ms = {}, above control.report_age_max_ms = {}",
+            stream.latency_ms, scenario.control.report_age_max_ms
+        )
+    })
+}
+
+/// The keys by which an accepted orientation report is too old before the next one arrives. The filter keeps what it
+/// has shown.
+fn gap_between_orientations(scenario: &Scenario) -> Option<String> {
+    let stream = accepted_orientations(scenario).filter(|_| scenario.control.belief != scenario::Belief::Filter)?;
+    let (oldest_ms, age_max_ms) = (stream.latency_ms + 1e3 / stream.rate_hz, scenario.control.report_age_max_ms);
+    (oldest_ms > age_max_ms).then(|| {
+        format!(
+            "streams.orientation: reports become {oldest_ms:.0} ms old, above control.report_age_max_ms = {age_max_ms}"
+        )
+    })
 }
 
 /// The keys by which a command expires before the next position report causes another one.
@@ -378,6 +422,23 @@ mod tests {
             let reported = of(&[change, "users.orientation={}", "streams.orientation.rate_hz=10"]);
             assert!(reported.is_empty(), "{change}: {reported:?}");
         }
+    }
+
+    #[test]
+    fn orientation_reports_that_are_too_old_are_named_and_answer_no_condition() {
+        let late = ["streams.orientation.rate_hz=10", "streams.orientation.latency_ms=600"];
+        let found = of(&[&["users.orientation={}", "users.mobility=seated"][..], &late].concat());
+        assert!(found.len() == 1 && found[0].contains("streams.orientation.latency_ms = 600, above"), "{found:?}");
+        let accepted = [&late[..], &["users.mobility=seated", "control.report_age_max_ms=700"]].concat();
+        assert!(of(&accepted).is_empty(), "{:?}", of(&accepted));
+        let narrow = of(&[&["receiver.fov_deg=60", "users.orientation={}"][..], &late].concat());
+        for expected in ["latency_ms = 600", "every receiver counts as facing up", "a field of view of 60 degrees"] {
+            assert!(narrow.iter().any(|text| text.contains(expected)), "{expected}: {narrow:?}");
+        }
+        let rare = ["streams.orientation.rate_hz=1"];
+        assert!(of(&rare).is_empty(), "the filter keeps what a report has shown: {:?}", of(&rare));
+        let found = of(&["streams.orientation.rate_hz=1", "control.belief=none"]);
+        assert!(found.iter().any(|text| text.contains("reports become 1000 ms old")), "{found:?}");
     }
 
     #[test]

@@ -91,7 +91,7 @@ fn check(file: String, overrides: Vec<String>, json: bool) -> Result<()> {
             scenario.mirrors,
             scenario.hash()
         )?;
-        conditions.iter().try_for_each(|condition| outln!("belief: {condition}"))?;
+        conditions.iter().try_for_each(|condition| outln!("condition: {condition}"))?;
     }
     match problems.as_slice() {
         [] => Ok(()),

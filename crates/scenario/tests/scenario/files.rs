@@ -131,6 +131,8 @@ fn values_that_contradict_each_other_are_refused() {
         "[users]\ncount = 5\nmobility = \"mixture\"\nmixture = [{ mobility = \"seated\", count = 2 }]",
         "[users]\ncount = 5\nmixture = [{ mobility = \"seated\", count = 2 }, { mobility = \"social-force\", share = 0.6 }]",
         "[users]\nmobility = \"seated\"\nseats_m = [[0.0, 0.0], [1.0, 0.0]]",
+        "[users]\ncount = 2\nmobility = \"seated\"\nseats_m = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]",
+        "[users]\ncount = 2\nmobility = \"mixture\"\nmixture = [{ mobility = \"seated\", count = 2 }]\nseats_m = [[0.0, 0.0]]",
         "[streams.channel]\nresolution_bits = 10",
         "[streams.channel]\nloss = 0.7\nloss_burst_reports = 2.0",
         "[streams.positions]\nloss_burst_reports = 0.5",

@@ -1,12 +1,16 @@
 //! Keys that a scenario sets to no effect, because another key replaces them or excludes their use.
 
-use heliostat_scenario::{ChannelMode, MobilityModel, Noise, Receiver, ReceiverPreset, Scenario, Users};
+use heliostat_scenario::{
+    ChannelMode, Mismatch, MismatchLevel, MobilityModel, Noise, Receiver, ReceiverPreset, Scenario, Users,
+};
 
 use super::{Condition, walks};
 
 /// The keys of a scenario that are not at their defaults and change nothing.
 pub fn unused_keys(scenario: &Scenario) -> Vec<Condition> {
-    [of_users(&scenario.users), of_tables(&scenario.users), of_link(scenario)].concat()
+    let of_mismatch = of_mismatch(&scenario.mismatch).into_iter().collect();
+    [of_users(&scenario.users), of_walks(&scenario.users), of_tables(&scenario.users), of_link(scenario), of_mismatch]
+        .concat()
 }
 
 fn unused(key: &str, because: impl Into<String>, consequence: impl Into<String>) -> Condition {
@@ -49,6 +53,38 @@ fn of_users(users: &Users) -> Vec<Condition> {
         )
     });
     mixture.into_iter().chain(seats).chain(of_entries).chain(of_room).collect()
+}
+
+/// Keys of walks that no model of the users reads.
+fn of_walks(users: &Users) -> Vec<Condition> {
+    let default = Users::default();
+    let is_read = |reads: fn(MobilityModel) -> bool| users.trace.is_none() && walks::models(users).any(reads);
+    let moves = |model: MobilityModel| model != MobilityModel::Seated;
+    let pauses = |model: MobilityModel| {
+        use MobilityModel::{RandomDirection, RandomWaypoint, SocialForce};
+        matches!(model, RandomDirection | RandomWaypoint | SocialForce)
+    };
+    let keys = [
+        ("users.speed_min_m_s", users.speed_min_m_s != default.speed_min_m_s, is_read(moves)),
+        ("users.speed_max_m_s", users.speed_max_m_s != default.speed_max_m_s, is_read(moves)),
+        ("users.pause_mean_s", users.pause_mean_s != default.pause_mean_s, is_read(pauses)),
+        // Users who sit turn, and their headings follow.
+        ("users.heading_lag_s", users.heading_lag_s != default.heading_lag_s, users.trace.is_none()),
+    ];
+    let because = if users.trace.is_none() { "no model of a user reads it" } else { "users.trace replaces the models" };
+    let unread = keys.into_iter().filter(|(_, is_set, is_read)| *is_set && !is_read);
+    unread.map(|(key, ..)| unused(key, because, "the key has no effect; remove it, or choose another model")).collect()
+}
+
+/// Parts of the room that would differ from the model.
+fn of_mismatch(mismatch: &Mismatch) -> Option<Condition> {
+    (mismatch.level == MismatchLevel::None && !mismatch.kinds.is_empty()).then(|| {
+        unused(
+            "mismatch.kinds",
+            "mismatch.level = \"none\"",
+            "the room is the model; set mismatch.level to \"typical\" or \"rough\"",
+        )
+    })
 }
 
 /// Tables of models of movement that no user has.
@@ -144,6 +180,7 @@ mod tests {
             ),
             ("receiver.concentrator_index=1.7", "receiver.concentrator_index", "receiver.concentrator=true"),
             ("channel.literal=true", "channel.literal", "channel.mode=paper"),
+            ("mismatch.kinds=[\"led\"]", "mismatch.kinds", "mismatch.level=rough"),
         ] {
             assert_eq!(of(&[change]), [key], "{change}");
             assert_eq!(of(&[change, use_of_it]), [""; 0], "{change} {use_of_it}");
@@ -151,6 +188,10 @@ mod tests {
         for (change, excluding, key) in [
             ("receiver.fov_deg=40", "receiver.preset=angle-diversity", "receiver.fov_deg"),
             ("noise.thermal_a2_per_hz=1e-23", "noise.variance_a2=1e-15", "the sum of the terms of noise"),
+            ("users.speed_max_m_s=1", seated, "users.speed_max_m_s"),
+            ("users.speed_min_m_s=0.5", "users.trace=walk.csv", "users.speed_min_m_s"),
+            ("users.pause_mean_s=2", "users.mobility=gauss-markov", "users.pause_mean_s"),
+            ("users.heading_lag_s=1", "users.trace=walk.csv", "users.heading_lag_s"),
         ] {
             assert_eq!([of(&[change]), of(&[excluding])], [[""; 0], [""; 0]], "{change}");
             assert_eq!(of(&[change, excluding]), [key], "{change}");

@@ -12,7 +12,7 @@ use crate::belief::{
 };
 
 /// The keys that say how receivers are held are absent.
-const UNKNOWN: &str = "users.orientation, without streams.orientation and without control.tilt";
+const UNKNOWN: &str = "users.orientation, without accepted reports of streams.orientation and without control.tilt";
 
 const ADVICE: &str = "every receiver counts as facing up; add the table [control.tilt], or report orientations";
 
@@ -29,8 +29,9 @@ const WALK_REPORTS: usize = 200;
 /// Why the receivers that users tilt count as facing up, and what to do; `None` where the controller knows how they
 /// are held, or finds it by measured gains.
 pub(super) fn counted_upright(scenario: &Scenario, model: &ChannelModel) -> Option<(String, &'static str)> {
-    let (control, streams) = (&scenario.control, &scenario.streams);
-    if !scenario.has_tilted_receivers() || streams.orientation.is_some() || control.tilt.is_some() {
+    let control = &scenario.control;
+    let is_reported = super::accepted_orientations(scenario).is_some();
+    if !scenario.has_tilted_receivers() || is_reported || control.tilt.is_some() {
         return None;
     }
     if control.belief != Belief::Filter {

@@ -123,7 +123,7 @@ pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut Mirr
 
 /// Aims each mirror at one aim of a list by the law of reflection.
 pub(crate) fn aim_at(model: &ChannelModel, spill: &Spill, aims: &[usize], out: &mut MirrorAngles) {
-    aim_chosen(model, &Targets::of_spill(spill), aims, out);
+    aim_chosen(model, &Targets { points: spill.points(), leds: spill.leds() }, aims, out);
 }
 
 fn aim_chosen(model: &ChannelModel, targets: &Targets<'_>, chosen: &[usize], out: &mut MirrorAngles) {
@@ -186,11 +186,6 @@ impl<'a> Targets<'a> {
     /// The users of a scene.
     fn of(scene: &'a Scene) -> Self {
         Self { points: scene.positions(), leds: scene.serving() }
-    }
-
-    /// The users and midpoints of a list.
-    fn of_spill(spill: &'a Spill) -> Self {
-        Self { points: spill.points(), leds: spill.leds() }
     }
 }
 

@@ -11,7 +11,7 @@
 //!    - [`Handled::Examination`]: [`Examination::run`] takes long and needs no lock. Its result is
 //!      the next input;
 //!    - the former policy: drop it, which may take long.
-//! 3. [`Input::Wake`] at [`RoomCore::next_wake`] for absent reports, and then [`Repeater::repeat`]:
+//! 3. [`Input::Wake`] every [`WAKE_INTERVAL_NS`] for absent reports, and then [`Repeater::repeat`]:
 //!    announcements, and repetitions of stops.
 //!
 //! [`RoomCore::advance`] does all of this for a caller with one thread.
@@ -155,7 +155,6 @@ pub struct RoomCore {
     is_due: bool,
     /// Time of the last in-time decision, if its state is to be published.
     decided_ns: Option<Nanos>,
-    next_wake_ns: Nanos,
     superseded: u64,
     undecodable: UndecodableCounts,
     last_malformed: Option<CodecError>,
@@ -202,7 +201,6 @@ impl RoomCore {
             states: StatePublisher::new(source),
             is_due: false,
             decided_ns: None,
-            next_wake_ns: 0,
             superseded: 0,
             undecodable: UndecodableCounts::default(),
             last_malformed: None,
@@ -286,11 +284,6 @@ impl RoomCore {
         if let Some(now) = self.decided_ns.take() {
             self.states.after_decision(&mut self.controller, now, out);
         }
-    }
-
-    /// When the next [`Input::Wake`] is due; 0 before the first.
-    pub fn next_wake(&self) -> Nanos {
-        self.next_wake_ns
     }
 
     /// What is published at intervals, with a lock of its own.
@@ -465,7 +458,6 @@ impl RoomCore {
     }
 
     fn wake(&mut self, now: Nanos, out: &mut dyn Publish) {
-        self.next_wake_ns = now.saturating_add(WAKE_INTERVAL_NS);
         if let Some(decision) = self.controller.poll_timeout_command(self.newest_ns.unwrap_or(now)) {
             publish(decision, &mut self.payload, out);
         }

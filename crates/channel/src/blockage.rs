@@ -1,8 +1,8 @@
 //! Blockage of paths by cylinders: obstacles and the users' own bodies.
 //!
 //! A path is a straight segment, and an obstacle is a solid upright cylinder on the floor. The test
-//! is exact in three dimensions. The shadow length of the paper's eq. (5) serves as a cross-check
-//! only: it describes the axis of the shadow, not its width.
+//! is exact in three dimensions. The tests compare it with the shadow length of the paper's eq. (5),
+//! which describes the axis of the shadow, not its width.
 //!
 //! ```
 //! use heliostat_channel::{Cylinder, blockage, geometry::Vec3};
@@ -14,7 +14,7 @@
 //! # Ok::<(), heliostat_channel::ChannelError>(())
 //! ```
 
-use crate::domain::{finite, not_negative, positive};
+use crate::domain::{finite, positive};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
 
@@ -117,23 +117,4 @@ pub(crate) fn dips(cylinder: &Cylinder, from_z: f64, to_z: f64, (enter, leave): 
     // Without branches, so that the loop over mirrors vectorises; a chord of NaN fails all
     // comparisons.
     ((first <= cylinder.height_m) | (last <= cylinder.height_m)) & ((first >= 0.0) | (last >= 0.0))
-}
-
-/// Length of the shadow behind a blocker on the receiver plane.
-///
-/// d_L - d_B = d_B h_B / (h_l - h_B), infinite when h_B >= h_l.
-///
-/// `distance_m`: horizontal distance d_B from the LED to the blocker. `blocker_height_m` and
-/// `led_height_m`: h_B and h_l above the receiver plane, not above the floor.
-///
-/// Source: paper eq. (5), d_L - d_B = h_B d_L / h_l, solved for the shadow length. Units: m.
-///
-/// # Errors
-/// [`ChannelError::OutOfRange`] for a negative distance, a negative blocker height, or an LED
-/// height that is not positive.
-pub fn shadow_length(distance_m: f64, blocker_height_m: f64, led_height_m: f64) -> Result<f64, ChannelError> {
-    let distance = not_negative("distance of a blocker in m", distance_m)?;
-    let blocker = not_negative("height of a blocker above the receivers in m", blocker_height_m)?;
-    let led = positive("height of an LED above the receivers in m", led_height_m)?;
-    if blocker >= led { Ok(f64::INFINITY) } else { Ok(distance * blocker / (led - blocker)) }
 }

@@ -5,8 +5,7 @@
 //! of the directions to the users. In both cases one weight per user determines all angles.
 //!
 //! [`decode`] is the decoder of the learned policies, inside and outside an exported graph. A mirror
-//! serves one user there. [`decode_sharing`] also counts the light for other users in the spot, for
-//! policies that are no graph.
+//! serves one user there.
 //!
 //! ```
 //! use heliostat_channel::decode::decode;
@@ -111,41 +110,6 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
     }
 }
 
-/// As [`decode`], but counts the light of a mirror for all users in its spot.
-///
-/// Specular: mirror m has the aim argmax_a sum_k w_k g_akm, where g_akm is the gain of user k over
-/// mirror m at the aim a: its steering gain if k is the aim, else the entry of `spill`. The aims are
-/// the users and the midpoints of `spill`; the lowest index wins a tie. For rooms without close users
-/// this is `decode`. Paper: as `decode`.
-///
-/// `spill`: that of the scene. The other arguments are those of `decode`.
-///
-/// # Panics
-/// As `decode`, or when `spill` is that of another number of users.
-pub fn decode_sharing(model: &ChannelModel, scene: &Scene, spill: &Spill, weights: &[f64], out: &mut MirrorAngles) {
-    if spill.is_empty() {
-        return decode(model, scene, weights, out);
-    }
-    let (users, mirrors) = (scene.users(), model.mirrors.len());
-    assert_eq!(weights.len(), users, "one weight per user");
-    assert_eq!(spill.points().len(), users + spill.midpoints().len(), "the spill of this scene");
-    check_angles(out, mirrors);
-    let worth = |aim: usize, mirror: usize| {
-        let own = if aim < users { weights[aim] * scene.steering_gain()[aim * mirrors + mirror] } else { 0.0 };
-        own + spill.of(aim, mirror).iter().map(|spilled| weights[spilled.user] * spilled.gain).sum::<f64>()
-    };
-    let best = |mirror: usize| {
-        let larger = |best: (usize, f64), aim: usize| {
-            let worth = worth(aim, mirror);
-            if worth > best.1 { (aim, worth) } else { best }
-        };
-        (0..spill.points().len()).fold((0, 0.0), larger).0
-    };
-    aim_each(model, &Targets::of_spill(spill), out, |first, lanes| {
-        std::array::from_fn(|lane| if lane < lanes { best(first + lane) } else { 0 })
-    });
-}
-
 /// Aims each mirror at one user by the law of reflection, with the light of the LED that serves
 /// that user.
 ///
@@ -159,7 +123,7 @@ pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut Mirr
 
 /// Aims each mirror at one aim of a list by the law of reflection.
 pub(crate) fn aim_at(model: &ChannelModel, spill: &Spill, aims: &[usize], out: &mut MirrorAngles) {
-    aim_chosen(model, &Targets::of_spill(spill), aims, out);
+    aim_chosen(model, &Targets { points: spill.points(), leds: spill.leds() }, aims, out);
 }
 
 fn aim_chosen(model: &ChannelModel, targets: &Targets<'_>, chosen: &[usize], out: &mut MirrorAngles) {
@@ -222,11 +186,6 @@ impl<'a> Targets<'a> {
     /// The users of a scene.
     fn of(scene: &'a Scene) -> Self {
         Self { points: scene.positions(), leds: scene.serving() }
-    }
-
-    /// The users and midpoints of a list.
-    fn of_spill(spill: &'a Spill) -> Self {
-        Self { points: spill.points(), leds: spill.leds() }
     }
 }
 

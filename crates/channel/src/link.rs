@@ -38,9 +38,9 @@ pub enum PowerLaw {
 /// The paper names the terms but gives no values; docs/physics.md has the source of each default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseBudget {
-    /// Shot noise of the background light in A2/Hz; see [`background_shot_density`].
+    /// Shot noise of the background light in A2/Hz.
     pub background_shot_a2_per_hz: f64,
-    /// Thermal noise in A2/Hz; see [`ThermalNoise`].
+    /// Thermal noise in A2/Hz.
     pub thermal_a2_per_hz: f64,
     /// Preamplifier noise in A2/Hz: the square of the input noise current density.
     pub preamplifier_a2_per_hz: f64,
@@ -128,76 +128,6 @@ impl LinkBudget {
         not_negative("preamplifier noise in A2/Hz", self.noise.preamplifier_a2_per_hz)?;
         positive("noise variance in A2", self.noise_variance_a2())?;
         Ok(())
-    }
-}
-
-/// Charge of the electron in C (exact by definition of the SI).
-const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
-/// Boltzmann's constant in J/K (exact by definition of the SI).
-const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
-/// Personick's noise-bandwidth integral I2 for a rectangular pulse.
-const PERSONICK_I2: f64 = 0.562;
-/// Personick's noise-bandwidth integral I3 for a rectangular pulse.
-const PERSONICK_I3: f64 = 0.0868;
-
-/// Spectral density of the shot noise of a background photocurrent: S = 2 q I_bg I2.
-///
-/// Source: Komine and Nakagawa, IEEE Trans. Consumer Electronics 50(1), 2004. They use 5.1 mA per
-/// cm2 of detector in direct sunlight and 0.74 mA in indirect sunlight: 1.02 mA and 0.148 mA for 20
-/// mm2.
-/// Units: current in A, density in A2/Hz.
-pub fn background_shot_density(background_current_a: f64) -> f64 {
-    2.0 * ELEMENTARY_CHARGE_C * background_current_a * PERSONICK_I2
-}
-
-/// Parameters of the thermal noise of a detector with an FET preamplifier.
-///
-/// [`Default`] has the values of Komine and Nakagawa (2004), for a detector of 20 mm2.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ThermalNoise {
-    /// Absolute temperature in K.
-    pub temperature_k: f64,
-    /// Open-loop voltage gain G.
-    pub open_loop_gain: f64,
-    /// Capacitance of the detector in F/m2.
-    pub capacitance_f_per_m2: f64,
-    /// Area of the detector in m2.
-    pub detector_area_m2: f64,
-    /// Channel noise factor of the FET.
-    pub channel_noise_factor: f64,
-    /// Transconductance of the FET in S.
-    pub transconductance_s: f64,
-}
-
-impl Default for ThermalNoise {
-    fn default() -> Self {
-        Self {
-            temperature_k: 295.0,
-            open_loop_gain: 10.0,
-            capacitance_f_per_m2: 112e-8,
-            detector_area_m2: 20e-6,
-            channel_noise_factor: 1.5,
-            transconductance_s: 30e-3,
-        }
-    }
-}
-
-impl ThermalNoise {
-    /// Mean spectral density over a bandwidth.
-    ///
-    /// S = (8 pi k T / G) eta A I2 B + (16 pi^2 k T Gamma / g_m) eta^2 A^2 I3 B^2.
-    ///
-    /// Source: Komine and Nakagawa (2004), equation of the thermal variance, divided by B.
-    /// Units: bandwidth in Hz, density in A2/Hz.
-    pub fn density_over(&self, bandwidth_hz: f64) -> f64 {
-        let thermal_energy = BOLTZMANN_J_PER_K * self.temperature_k;
-        let capacitance = self.capacitance_f_per_m2 * self.detector_area_m2;
-        let feedback = 8.0 * PI * thermal_energy / self.open_loop_gain * capacitance * PERSONICK_I2;
-        let channel = 16.0 * PI * PI * thermal_energy * self.channel_noise_factor / self.transconductance_s
-            * capacitance
-            * capacitance
-            * PERSONICK_I3;
-        feedback * bandwidth_hz + channel * bandwidth_hz * bandwidth_hz
     }
 }
 

@@ -7,7 +7,7 @@
 //! - [`signals`]: Ctrl-C, SIGTERM and the end of standard input, as such a request.
 //! - [`duration`]: durations on the command line.
 //! - [`logging`]: logs to standard error, as text or as JSON.
-//! - [`log_limit`]: bounds the lines of a lasting problem.
+//! - [`log_limit`]: bounds the lines of a lasting problem, and of a flood of events.
 //! - [`output`]: text for a user on standard output and standard error.
 //! - [`input`]: text files that a flag names.
 //! - [`whole_file`]: files that are complete, or not there.

@@ -446,7 +446,7 @@ class _EventLimit:
         if now_s - self._shown < _FLOOD_END_S:
             return None
         count, self._unshown, self._shown = self._unshown, 0, now_s
-        return f"{self._further} ({count} times)"
+        return f"{self._further} ({count} times)" if count > 1 else self._further
 
 
 class _Shown:

@@ -100,7 +100,7 @@ pub enum Input<'a> {
     Examined(Examined),
     /// A policy after its start-up warm-up, which replaces the present one.
     Policy(Box<dyn Policy>),
-    /// The time of [`next_wake`](super::RoomCore::next_wake) has come.
+    /// [`WAKE_INTERVAL_NS`](super::WAKE_INTERVAL_NS) has passed since the last one.
     Wake,
 }
 

@@ -187,10 +187,9 @@ impl Solver {
 
     /// One weight per user of the last solution: not negative, dimensionless. Shape: K.
     ///
-    /// After [`Solver::fixed_point`], the aims are those of [`decode`](crate::decode::decode) for
-    /// these weights, with spill those of [`decode_sharing`](crate::decode::decode_sharing). After
-    /// the other methods the weights are the derivatives of the objective, and [`Solver::served`]
-    /// is a refined assignment that no weights may reproduce.
+    /// After [`Solver::fixed_point`] without spill, the aims are those of [`decode`](crate::decode::decode)
+    /// for these weights. After the other methods the weights are the derivatives of the objective, and
+    /// [`Solver::served`] is a refined assignment that no weights may reproduce.
     pub fn weights(&self) -> &[f64] {
         &self.weights
     }

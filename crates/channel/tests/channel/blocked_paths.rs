@@ -1,7 +1,7 @@
 //! Blockage by cylinders: the segment test, the skipped tests, and the paper's shadow length.
 
 use crate::common::{PAPER, Random, Room};
-use heliostat_channel::blockage::{Cylinder, blocks, shadow_length};
+use heliostat_channel::blockage::{Cylinder, blocks};
 use heliostat_channel::specular::bisector;
 use heliostat_channel::{Scene, Vec3, Wall};
 
@@ -132,7 +132,13 @@ fn a_cylinder_of_radius_0_blocks_nothing() {
     }
 }
 
-/// Eq. (5) in explicit form: a thin blocker's shadow on the receiver plane begins and ends where
+/// Eq. (5) in explicit form: the length of the shadow in m behind a blocker at a horizontal distance from the LED, with
+/// the heights of both above the receivers in m.
+fn shadow_length(distance_m: f64, blocker_height_m: f64, led_height_m: f64) -> f64 {
+    distance_m * blocker_height_m / (led_height_m - blocker_height_m)
+}
+
+/// A thin blocker's shadow on the receiver plane begins and ends where
 /// the segment test says.
 #[test]
 fn shadow_length_of_a_thin_blocker() {
@@ -140,7 +146,7 @@ fn shadow_length_of_a_thin_blocker() {
     for (distance, height) in [(0.5, 1.75), (1.0, 1.2), (1.5, 1.5)] {
         let blocker = Cylinder { x_m: distance, y_m: 0.0, radius_m: 1e-4, height_m: height };
         let led = at(0.0, 0.0, led_height);
-        let shadow = shadow_length(distance, height - plane, led_height - plane).expect("in range");
+        let shadow = shadow_length(distance, height - plane, led_height - plane);
         let dark = |beyond: f64| blocks(&blocker, &led, &at(distance + beyond, 0.0, plane));
         assert!(dark(0.01) && dark(shadow - 0.002), "{shadow}");
         assert!(!dark(shadow + 0.002) && !dark(-0.01), "{shadow}");
@@ -155,7 +161,7 @@ fn shadow_length_of_a_thin_blocker() {
 #[test]
 fn the_rectangle_of_eq_5_understates_the_shadow() {
     let led = at(0.0, 0.0, 3.0);
-    let shadow = shadow_length(PERSON.x_m, 1.75 - 0.85, 3.0 - 0.85).expect("in range");
+    let shadow = shadow_length(PERSON.x_m, 1.75 - 0.85, 3.0 - 0.85);
     let in_rectangle = |x: f64, y: f64| (1.0..=1.0 + shadow).contains(&x) && y.abs() <= PERSON.radius_m;
     let (mut dark, mut covered, mut bright_inside) = (0, 0, 0);
     for ix in 0..300 {
@@ -177,9 +183,6 @@ fn invalid_cylinders_are_refused() {
     assert!(Cylinder::new(f64::NAN, 0.0, 0.2, 1.75).is_err());
     assert!(Cylinder::new(0.0, 0.0, 0.0, 1.75).is_err());
     assert!(Cylinder::new(0.0, 0.0, 0.2, -1.0).is_err());
-    assert!(shadow_length(-1.0, 0.9, 2.15).is_err());
-    assert!(shadow_length(1.0, 0.9, 0.0).is_err());
-    assert_eq!(shadow_length(1.0, 2.15, 2.15), Ok(f64::INFINITY));
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Closed-form values: line-of-sight gain, fields of view, link budget, angles.
 
 use crate::common::{Room, angle_diversity};
-use heliostat_channel::link::{ThermalNoise, background_shot_density};
 use heliostat_channel::{
     Branch, ChannelError, Combining, GeometryError, Led, Mechanical, Optical, PowerLaw, Receiver, Vec3, ber_ook, jain,
     los,
@@ -117,12 +116,18 @@ fn sinr_rate_and_amplitude_scale() {
 
 #[test]
 fn noise_items_have_their_sources() {
-    let bandwidth_hz = 20e6;
+    let bandwidth_hz = 20e6_f64;
     let close_to = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 0.06, "{found} {expected}");
-    // 5.1 mA per cm2 in direct sunlight and 0.74 mA in indirect sunlight, on 0.2 cm2.
-    close_to(background_shot_density(0.2 * 5.1e-3) * bandwidth_hz, 3.7e-15);
-    close_to(background_shot_density(0.2 * 0.74e-3) * bandwidth_hz, 5.3e-16);
-    close_to(ThermalNoise::default().density_over(bandwidth_hz) * bandwidth_hz, 6e-17);
+    // Komine and Nakagawa, IEEE Trans. Consumer Electronics 50(1), 2004: shot noise 2 q I_bg I2 B with 5.1 mA per cm2
+    // in direct sunlight and 0.74 mA in indirect sunlight, on 0.2 cm2.
+    let shot = |background_a: f64| 2.0 * 1.602_176_634e-19 * background_a * 0.562 * bandwidth_hz;
+    close_to(shot(0.2 * 5.1e-3), 3.7e-15);
+    close_to(shot(0.2 * 0.74e-3), 5.3e-16);
+    // Thermal noise (8 pi k T / G) eta A I2 B^2 + (16 pi^2 k T Gamma / g_m) eta^2 A^2 I3 B^3.
+    let (energy, capacitance) = (1.380_649e-23 * 295.0, 112e-8 * 20e-6);
+    let feedback = 8.0 * PI * energy / 10.0 * capacitance * 0.562;
+    let channel = 16.0 * PI * PI * energy * 1.5 / 30e-3 * capacitance * capacitance * 0.0868;
+    close_to(feedback * bandwidth_hz.powi(2) + channel * bandwidth_hz.powi(3), 6e-17);
     // An input noise of 4.47 pA per root hertz.
     close_to(4.47e-12_f64.powi(2) * bandwidth_hz, 4e-16);
     let mut noise = Room::paper().budget.noise;

@@ -1,7 +1,7 @@
 //! Users within one spot: the light of a mirror for users at whom it is not aimed.
 
 use crate::common::{Random, Room, angle_diversity, led};
-use heliostat_channel::decode::{aim, aim_at_point, decode, decode_sharing};
+use heliostat_channel::decode::{aim, aim_at_point, decode};
 use heliostat_channel::scene::Spill;
 use heliostat_channel::{
     ChannelModel, Combining, Method, MinimumRates, MirrorAngles, Problem, Scene, Solution, Solver, Vec3,
@@ -63,7 +63,7 @@ fn value(model: &ChannelModel, scene: &Scene, angles: &MirrorAngles, min_rates: 
     rates.iter().sum::<f64>() - min_rates.qos_penalty * rates.iter().enumerate().map(shortfall).sum::<f64>()
 }
 
-/// Values of the angles of policies: solver, decoders with random weights, and all mirrors at one
+/// Values of the angles of policies: solver, decoder with random weights, and all mirrors at one
 /// user or between two.
 fn policies(random: &mut Random, model: &ChannelModel, scene: &Scene, min_rates: &MinimumRates) -> Vec<f64> {
     let (users, mirrors) = (scene.users(), scene.mirrors());
@@ -78,8 +78,6 @@ fn policies(random: &mut Random, model: &ChannelModel, scene: &Scene, min_rates:
     for _ in 0..10 {
         let weights: Vec<f64> = (0..users).map(|_| random.uniform(0.0, 1.0)).collect();
         decode(model, scene, &weights, &mut angles);
-        values.push(value(model, scene, &angles, min_rates));
-        decode_sharing(model, scene, &spill, &weights, &mut angles);
         values.push(value(model, scene, &angles, min_rates));
     }
     for point in spill.points() {

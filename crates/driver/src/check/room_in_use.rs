@@ -1,17 +1,17 @@
 //! Whether a room is in use: the check begins beside no controller, and beside no other sender of commands.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::mpsc;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 use heliostat_bus::{Bus, BusError};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, STATUS_WITHIN, decode};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, STATUS_WITHIN};
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
 
 use super::PRESENCE_LIMIT;
+use crate::arriving::arriving;
 
 /// Refuses a room with a controller: the check would take its array, and the controller would interfere with the check.
 ///
@@ -41,13 +41,7 @@ pub fn expect_no_controller(bus: &Bus) -> Result<()> {
 
 /// The hosts of these controllers, as far as their statuses name them.
 fn hosts(bus: &Bus, sources: &BTreeSet<u64>) -> Result<BTreeMap<u64, String>, BusError> {
-    let (sender, statuses) = mpsc::channel();
-    let _subscription = bus.subscribe(&bus.room().status(NodeKind::Controller), move |payload| {
-        if let Ok(status) = decode::<NodeStatus>(payload) {
-            // The receiver is gone after the last one that counts.
-            sender.send(status).ok();
-        }
-    })?;
+    let (statuses, _subscription) = arriving::<NodeStatus>(bus, &bus.room().status(NodeKind::Controller))?;
     let until = Instant::now() + STATUS_WITHIN;
     let mut hosts = BTreeMap::new();
     while !sources.iter().all(|source| hosts.contains_key(source)) {

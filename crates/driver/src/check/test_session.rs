@@ -21,15 +21,13 @@ use super::PRESENCE_LIMIT;
 use super::received::{Received, problem_of_device};
 use super::report::{Failure, describe_failure};
 use super::room_in_use::is_commanded;
+use crate::arriving::fetch;
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// Telemetry messages within which each driver of the array has reported.
 const SOURCES_WITHIN: usize = 10;
-
-/// Time between two queries to the driver.
-const QUERY_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Validity of commands in checks that do not concern validity.
 pub const VALIDITY_MS: u32 = 3000;
@@ -70,19 +68,6 @@ pub fn is_present(bus: &Bus, keys: &ArrayKeys) -> Result<bool> {
     let simulators = bus.room().alive_of(NodeKind::SimNode);
     let present = |tokens: &str| Ok::<_, BusError>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
     Ok(present(&keys.drivers_alive())? || present(&simulators)?)
-}
-
-/// Queries a message of the driver; repeats the query, because a new session may not know the
-/// driver yet.
-fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
-    let until = Instant::now() + ANSWER_TIMEOUT;
-    loop {
-        let fetched = bus.fetch(key, ANSWER_TIMEOUT)?.iter().find_map(|payload| decode(payload).ok());
-        if fetched.is_some() || Instant::now() >= until {
-            return Ok(fetched);
-        }
-        std::thread::sleep(QUERY_INTERVAL);
-    }
 }
 
 impl TestSession {
@@ -128,7 +113,7 @@ impl TestSession {
                 shared.1.notify_all();
             })?);
         }
-        let fetched = fetch(&bus, &keys.capabilities())?;
+        let fetched = fetch(&bus, &keys.capabilities(), ANSWER_TIMEOUT)?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
             stops: bus.publisher(&room.stop(), Class::RealTimeBlock)?,
@@ -327,14 +312,14 @@ impl TestSession {
 
     /// The answer of the driver to a query of its safety report.
     pub fn fetch_safety(&self) -> Result<Option<SafetyReport>> {
-        fetch(&self.bus, &self.keys.safety())
+        Ok(fetch(&self.bus, &self.keys.safety(), ANSWER_TIMEOUT)?)
     }
 
     /// The answer of the driver to a query of its stop report; `None` for a driver older than this
     /// message.
     pub fn fetch_stops(&self) -> Result<Option<StopReport>> {
         let published = self.inspect(|received| received.stops.last().cloned());
-        Ok(if published.is_some() { fetch(&self.bus, &self.keys.stops())? } else { None })
+        Ok(if published.is_some() { fetch(&self.bus, &self.keys.stops(), ANSWER_TIMEOUT)? } else { None })
     }
 
     /// Waits until the latest stop report fits.

@@ -1,5 +1,6 @@
 //! Writes the messages of a room, in the order of the queue, into the present file.
 
+use std::collections::HashMap;
 use std::fs;
 use std::io;
 use std::path::PathBuf;
@@ -84,8 +85,9 @@ pub(super) struct RoomWriter<S: Storage> {
     /// Kind and source of the processes in the room, without viewers.
     present: Vec<(NodeKind, u64)>,
     was_present: bool,
-    /// The lines about processes that join or leave: a process can have any number of tokens.
-    presence_lines: EventLimit,
+    /// The lines about processes that join or leave: a process can have any number of tokens. Each kind of process has a
+    /// bound of its own, so that viewers hide no controller.
+    presence_lines: HashMap<NodeKind, EventLimit>,
     flushed: Instant,
     /// Whether [`RoomWriter::missing_once`] has looked.
     has_looked: bool,
@@ -121,7 +123,7 @@ impl<S: Storage> RoomWriter<S> {
             faults: Vec::new(),
             present: Vec::new(),
             was_present: false,
-            presence_lines: EventLimit::default(),
+            presence_lines: HashMap::new(),
             flushed: Instant::now(),
             has_looked: false,
             other_keys: 0,
@@ -173,7 +175,8 @@ impl<S: Storage> RoomWriter<S> {
 
     /// The line about a process that joins or leaves; one in ten seconds stands for those of a flood.
     fn presence_line(&mut self, now: Instant, presence: Presence) -> Option<String> {
-        self.presence_lines.line(now, presence, "further processes join or leave")
+        let further = format!("further processes ({}) join or leave", presence.node);
+        self.presence_lines.entry(presence.node).or_default().line(now, presence, &further)
     }
 
     fn payload(
@@ -444,7 +447,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_of_tokens_has_one_line_in_ten_seconds() {
+    fn a_flood_of_tokens_has_one_line_in_ten_seconds_and_hides_no_process_of_another_kind() {
         let room = Room::new("alone").expect("a name");
         let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
         let begin = Instant::now();
@@ -455,6 +458,8 @@ mod tests {
         let most = EVENTS_MAX as usize;
         assert_eq!(lines(Duration::ZERO, 10_000), most + 1);
         assert_eq!(lines(FLOOD_END, 10_000), most + 1);
+        let controller = Presence { node: NodeKind::Controller, source: 1, alive: false };
+        assert!(writer.presence_line(begin + FLOOD_END, controller).is_some());
     }
 
     #[test]

@@ -9,6 +9,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus, Class, Subscription};
+use heliostat_driver::arriving::{arriving, fetch};
 use heliostat_driver::calibration_store;
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::keys::parse_alive;
@@ -21,7 +22,7 @@ use heliostat_service::{outln, source_id};
 use serde_json::json;
 
 use super::args::ApplyArgs;
-use super::room::{OTHER_GAP_MAX, WAIT, fetch, wait};
+use super::room::{OTHER_GAP_MAX, WAIT, wait};
 use crate::commands::join::join;
 
 /// Number of the steps from the sequence in use to the next one.
@@ -58,7 +59,7 @@ fn read(args: &ApplyArgs) -> Result<CalibrationFile> {
 fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, Duration)> {
     let (room, keys) = (bus.room(), bus.room().array(args.array));
     let reports = Reports::subscribe(bus, args.array)?;
-    let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.with_context(|| {
+    let capabilities: Capabilities = fetch(bus, &keys.capabilities(), WAIT)?.with_context(|| {
         format!(
             "no driver of array {} answers in room \"{room}\". {NOTHING_SENT}: give --connect its endpoint or that of \
              its router, and check --room and --array",
@@ -90,13 +91,7 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
 /// Refuses while a calibration commands the room: its readings hold for the calibration in use alone.
 fn refuse_during_calibration(bus: &Bus) -> Result<()> {
     let room = bus.room();
-    let (sender, statuses) = mpsc::channel();
-    let subscription = bus.subscribe(&room.status(NodeKind::Controller), move |payload| {
-        if let Ok(status) = decode::<NodeStatus>(payload) {
-            // The queue is gone when the wait ends.
-            drop(sender.send(status));
-        }
-    })?;
+    let (statuses, subscription) = arriving(bus, &room.status(NodeKind::Controller))?;
     let tokens = bus.alive(&room.alive_of(NodeKind::Controller), WAIT)?;
     let silent = tokens.iter().filter_map(|key| parse_alive(key)).map(|(_, source)| source).collect();
     let running = running_calibration(&statuses, silent, Instant::now() + OTHER_GAP_MAX);

@@ -10,17 +10,19 @@ use heliostat_calibrate::commander::{
     Commander, Guest, LEAD_EVERY_NS, LEAD_WITHIN_NS, RELEASE_NS, TELEMETRY_GAP_MAX_NS, VALIDITY_MS,
 };
 use heliostat_channel::MirrorAngles;
+use heliostat_driver::arriving::fetch;
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    ArrayState, Capabilities, ChannelReport, EmergencyStop, Message, MirrorTelemetry, Nanos, NodeKind, NodeStatus,
-    SafetyReport, Stamp, StopAction, StopRepetition, UserReport, decode, encode,
+    ArrayState, Capabilities, ChannelReport, EmergencyStop, MirrorTelemetry, Nanos, NodeKind, NodeStatus, SafetyReport,
+    Stamp, StopAction, StopRepetition, UserReport, decode, encode,
 };
 use heliostat_scenario::Scenario;
-use heliostat_service::clock::{monotonic_ns, utc_ns};
+use heliostat_service::clock::utc_ns;
 use heliostat_service::locks::lock;
 use heliostat_service::source_id;
 
+use super::LOOK_EVERY;
 use super::args::Args;
 use super::commander::PublishedCommands;
 use super::interruption;
@@ -30,9 +32,6 @@ pub const WAIT: Duration = Duration::from_nanos(LEAD_WITHIN_NS);
 
 /// Age beyond which a report does not count.
 const REPORT_AGE_MAX_NS: Nanos = 1_000_000_000;
-
-/// Time between two queries.
-const QUERY_EVERY: Duration = Duration::from_millis(200);
 
 /// Reports that the queue holds; a report beyond it is dropped, as one that the network loses.
 const QUEUE: usize = 1024;
@@ -90,10 +89,10 @@ impl LiveRoom {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
         let source = source_id::random();
         let yields = args.refine.is_some();
-        let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.context(
+        let capabilities: Capabilities = fetch(bus, &keys.capabilities(), WAIT)?.context(
             "the array does not answer: connect to the process that drives it, or to its router, and check --room",
         )?;
-        let safety: Option<SafetyReport> = fetch(bus, &keys.safety())?;
+        let safety: Option<SafetyReport> = fetch(bus, &keys.safety(), WAIT)?;
         let validity_ms = safety.as_ref().map_or(VALIDITY_MS, |safety| match safety.validity_max_ms {
             0 => VALIDITY_MS,
             most => VALIDITY_MS.min(most),
@@ -342,7 +341,7 @@ impl LiveRoom {
         while begun.elapsed() < Duration::from_nanos(RELEASE_NS)
             && lock(&self.commands).commander.superseded_by().is_none()
         {
-            std::thread::sleep(QUERY_EVERY / 10);
+            std::thread::sleep(LOOK_EVERY);
         }
         lock(&self.commands).commander.rest();
     }
@@ -432,18 +431,6 @@ fn lost_lead(epoch: u64, kept: &str, takes_over: bool) -> String {
 /// Whether the time of a report is within the age that counts, and not in the future.
 fn is_recent(stamp: &Stamp) -> bool {
     stamp.time_ns.abs_diff(utc_ns()) < REPORT_AGE_MAX_NS
-}
-
-/// Queries a message of the array until it answers, or the wait is over.
-pub fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
-    let begun = monotonic_ns();
-    loop {
-        let found = bus.fetch(key, WAIT)?.iter().find_map(|payload| decode(payload).ok());
-        if found.is_some() || monotonic_ns() - begun >= WAIT.as_nanos() as u64 {
-            return Ok(found);
-        }
-        std::thread::sleep(QUERY_EVERY);
-    }
 }
 
 /// Waits until there is a value, for a limited time.

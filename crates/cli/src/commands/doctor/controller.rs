@@ -1,12 +1,12 @@
 //! What a running room announces, and what its controller has learned about it.
 
-use std::sync::mpsc::{self, Receiver};
 use std::time::Instant;
 
-use heliostat_bus::{Bus, BusError, Subscription};
+use heliostat_bus::{Bus, BusError};
+use heliostat_driver::arriving::arriving;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
-use heliostat_proto::{Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, STATUS_WITHIN, decode};
+use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, STATUS_WITHIN};
 use heliostat_service::printable::printable;
 use heliostat_ui::controllers::{controller_name, leading};
 
@@ -120,18 +120,6 @@ fn ask(bus: &Bus) -> Result<Answers, BusError> {
         }
     });
     Ok(Answers { controller, room: of_simulator.try_iter().last().map(|geometry| geometry.scenario) })
-}
-
-/// The messages that arrive under a key while the subscription lasts.
-fn arriving<T: Message + Send + 'static>(bus: &Bus, key: &str) -> Result<(Receiver<T>, Subscription), BusError> {
-    let (sender, arrived) = mpsc::channel();
-    let subscription = bus.subscribe(key, move |payload| {
-        if let Ok(message) = decode::<T>(payload) {
-            // The receiver is gone after the last one that counts.
-            sender.send(message).ok();
-        }
-    })?;
-    Ok((arrived, subscription))
 }
 
 /// Which arrays get no commands of a controller, because they do not fit its scenario.

@@ -2,7 +2,6 @@
 
 use std::fmt;
 use std::net::TcpListener;
-use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through};
@@ -10,6 +9,7 @@ use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
 use heliostat_core::policy::Finding;
+use heliostat_driver::arriving::arriving;
 use heliostat_models::{PolicyArgs, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
@@ -261,33 +261,18 @@ pub(super) struct DriverState {
 
 fn ask_driver(args: &Args, bus: &Bus, array: usize) -> anyhow::Result<DriverState> {
     let room = bus.room().clone();
-    let (sender, reports) = mpsc::channel();
-    let statuses = sender.clone();
     let keys = room.array(array);
-    let reported = bus.subscribe(&keys.telemetry(), move |payload| {
-        // The receiver is gone when both have arrived.
-        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(Box::new(telemetry)), None))));
-    })?;
-    let status = bus.subscribe(&keys.driver_status(), move |payload| {
-        drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
-    })?;
+    let (telemetries, _telemetries) = arriving::<MirrorTelemetry>(bus, &keys.telemetry())?;
+    let (statuses, _statuses) = arriving::<NodeStatus>(bus, &keys.driver_status())?;
     let payloads = fetch_capabilities(args, bus, &keys.capabilities())?;
-    let (mut telemetry, mut problem): (Option<Box<MirrorTelemetry>>, Option<String>) = (None, None);
-    let has_no_link = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
+    let left = || until.saturating_duration_since(Instant::now());
+    let telemetry = telemetries.recv_timeout(left()).ok();
     // The problem matters only with a fault.
-    while telemetry.is_none() || (telemetry.as_deref().is_some_and(has_no_link) && problem.is_none()) {
-        let Ok((new_telemetry, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
-        else {
-            break;
-        };
-        (telemetry, problem) = (new_telemetry.or(telemetry), new_problem.or(problem));
-    }
-    drop((reported, status));
-    let device_problem = telemetry
-        .as_deref()
-        .filter(|telemetry| has_no_link(telemetry))
-        .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
+    let device_problem = telemetry.as_ref().filter(|telemetry| telemetry.faults & fault::LINK != 0).map(|_| {
+        let problem = statuses.recv_timeout(left()).map(|status| status.last_problem).unwrap_or_default();
+        format!("a device of the driver does not answer: {}", printable(&problem))
+    });
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
         [payload] => Ok(DriverState {

@@ -48,7 +48,7 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
         "42 used",
         "2 rows refused",
         "line 22: invalid frame `bad`",
-        "line 44: time 31.2 s of 2 is not after",
+        "line 44: time 31.2 s of the pedestrian 2 is not",
         "2 in 2 tracks",
         "2.50 positions a second",
         "x 0.00 to 8.00 m, y 0.00 to 2.00 m",

@@ -301,7 +301,7 @@ impl Port {
     fn no_answer(&self, limit: Duration) -> DeviceError {
         let limit = limit.as_millis();
         let problem = match self.pending.len() {
-            0 => format!("no answer within {limit} ms"),
+            0 => format!("no answer within {limit} ms; check power, cable and the speed of the port"),
             bytes => {
                 format!("no line within {limit} ms, but {bytes} bytes without an end: check the speed of the port")
             }

@@ -69,6 +69,14 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
 }
 
 #[test]
+fn the_command_that_plays_a_walk_is_quoted_for_a_shell() {
+    let folder = folder();
+    let imported = heliostat(&folder, &IMPORT.replace("walk.csv", "a&b.csv"));
+    let report = text(&imported.stdout);
+    assert!(report.contains("--set users.count=2 --set 'users.trace=a&b.csv'"), "{report}");
+}
+
+#[test]
 fn a_room_plays_an_imported_walk() {
     let folder = folder();
     let imported = heliostat(&folder, &format!("{IMPORT} --rate-hz 10 --scenario hall"));

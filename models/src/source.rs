@@ -100,10 +100,13 @@ pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
     let Ok(mut model) = ModelProto::decode(&bytes[..]) else { return Ok(ActorFile { origin, bytes: bytes.into() }) };
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut beside = |name: &str| {
-        let is_name = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        let read =
-            if is_name { read_bytes(&folder.join(name), BYTES_MAX) } else { Err(ErrorKind::PermissionDenied.into()) };
-        read.map_err(|error| {
+        if !Path::new(name).components().all(|part| matches!(part, Component::Normal(_))) {
+            return Err(format!(
+                "the weights are in {name}, expected a file in the folder of the actor; export again, or with \
+                 external_data=False"
+            ));
+        }
+        read_bytes(&folder.join(name), BYTES_MAX).map_err(|error| {
             format!("the weights are in {name} ({error}): copy it too, or export with external_data=False")
         })
     };

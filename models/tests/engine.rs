@@ -1,6 +1,7 @@
 //! Learned policies on their engines, and what they allocate. A binary of its own: one test measures
 //! the memory of its process.
 
+use std::fs;
 use std::path::Path;
 
 use allocation_counter::measure;
@@ -12,7 +13,7 @@ use heliostat_models::{
     ActorSource, BuildError, ORT, SourceError, build, load_actor, load_actor_on_onnxruntime, source,
 };
 use heliostat_needs::needs;
-use heliostat_onnx::ModelProto;
+use heliostat_onnx::{ModelProto, StringStringEntryProto, tensor_proto::DataLocation};
 use heliostat_scenario::Scenario;
 use onnxruntime::SIN;
 use prost::Message;
@@ -49,6 +50,21 @@ fn a_missing_file_says_how_to_get_one() {
 fn a_folder_is_no_file() {
     let error = source::read(Path::new("/")).unwrap_err();
     assert!(matches!(error, SourceError::Unreadable { .. }), "{error}");
+}
+
+#[test]
+fn weights_outside_the_folder_of_the_actor_are_refused_with_the_place_expected() {
+    let mut file = ModelProto::decode(&ActorRecipe::fitting(&scenario(&[])).bytes()[..]).unwrap();
+    let location = |value: &str| StringStringEntryProto { key: "location".into(), value: value.into() };
+    file.graph.as_mut().unwrap().initializer[0].data_location = DataLocation::External as i32;
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("outside.onnx");
+    for place in ["../weights.bin", "/weights.bin"] {
+        file.graph.as_mut().unwrap().initializer[0].external_data = vec![location(place)];
+        fs::write(&path, file.encode_to_vec()).unwrap();
+        let text = source::read(&path).unwrap_err().to_string();
+        let words = [place, "expected a file in the folder of the actor", "external_data=False"];
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+    }
 }
 
 #[test]

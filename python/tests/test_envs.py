@@ -428,3 +428,9 @@ def test_a_picture_shows_users_where_they_are_and_whether_they_are_served() -> N
         red, green, _ = picture[row, column].astype(int)
         assert (green > red) == is_met, (place, picture[row, column])
     assert met.any() and not met.all()
+
+
+def test_a_vector_environment_whose_constructor_refused_its_arguments_can_be_closed() -> None:
+    with pytest.raises(ValueError, match="num_envs = 0: expected an integer from 1"):
+        heliostat.HeliostatVectorEnv(num_envs=0)
+    heliostat.HeliostatVectorEnv.__new__(heliostat.HeliostatVectorEnv).close()

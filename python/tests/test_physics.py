@@ -200,6 +200,16 @@ def test_learned_policies_are_built_in_by_name() -> None:
         heliostat.Policy("ddpg-raw", overrides={"mirrors.rows": 3})
 
 
+def test_an_observation_of_another_shape_or_without_numbers_is_refused_as_such() -> None:
+    policy = heliostat.Policy("ddpg")
+    length = heliostat.HeliostatEnv().observation_space.shape[0]
+    assert np.isfinite(policy.answer(np.zeros(length))).all()
+    with pytest.raises(ValueError, match="observation has the shape .1, .*expected 1 dimensions"):
+        policy.answer(np.zeros((1, length)))
+    with pytest.raises(ValueError, match="observation holds NaN or infinity, expected finite numbers"):
+        policy.answer(np.full(length, np.nan))
+
+
 def test_the_quantities_of_a_map_are_those_of_a_link() -> None:
     assert list(get_args(Quantity)) == list(LinkResult.__annotations__)
     assert set(heliostat.Room().link(USERS, FLAT, FLAT)) == set(get_args(Quantity))

@@ -395,6 +395,7 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
         }
         "tcp" | "tls" | "quic" => match address.rsplit_once(':') {
             None => refuse("it has no port".to_owned()),
+            Some(_) if address.ends_with(']') => refuse("it has no port".to_owned()),
             Some(("", _)) => refuse("it has no host".to_owned()),
             Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),
             Some(_) => Ok(()),

@@ -1,11 +1,15 @@
 //! What a file is that holds something else than its user expects.
 
 /// How the bytes of some files begin, what such a file is, and what to do.
-const BEGINNINGS: [(&[u8], &str, &str); 6] = [
+const BEGINNINGS: [(&[u8], &str, &str); 10] = [
     (b"version https://git-lfs", "is a pointer of git-lfs", "run `git lfs pull`"),
     (b"\x1f\x8b", "is compressed with gzip", "unpack it"),
     (b"\x28\xb5\x2f\xfd", "is compressed with zstd", "unpack it"),
+    (b"\xfd7zXZ\0", "is compressed with xz", "unpack it"),
+    (b"BZh91AY&SY", "is compressed with bzip2", "unpack it"),
     (b"PK\x03\x04", "is a zip archive", "unpack it"),
+    (b"PAR1", "is a Parquet file", "convert it"),
+    (b"\x89HDF", "is an HDF5 file", "convert it"),
     (b"\xff\xfe", "is text in UTF-16", "save it in UTF-8"),
     (b"\xfe\xff", "is text in UTF-16", "save it in UTF-8"),
 ];
@@ -23,6 +27,9 @@ pub fn foreign_file(beginning: &[u8], expected: &str) -> Option<String> {
     if beginning.is_empty() {
         return Some(format!("is empty, expected {expected}: copy or export it again"));
     }
+    if is_of_office(beginning) {
+        return Some(format!("is a document of an office program, expected {expected}: export it, a table as CSV"));
+    }
     if let Some((_, what, advice)) = BEGINNINGS.iter().find(|(bytes, ..)| beginning.starts_with(bytes)) {
         return Some(format!("{what}, expected {expected}: {advice}"));
     }
@@ -34,6 +41,16 @@ pub fn foreign_file(beginning: &[u8], expected: &str) -> Option<String> {
         return Some(format!("begins with {word}: it is a web page, expected {expected}: download the file itself"));
     }
     None
+}
+
+/// Whether a file is one of a spreadsheet or a text program: a zip archive whose first entry says so, or the older
+/// binary format.
+fn is_of_office(beginning: &[u8]) -> bool {
+    // The name of the first entry follows 26 further bytes.
+    let first = beginning.strip_prefix(b"PK\x03\x04").and_then(|rest| rest.get(26..));
+    let is_of_office =
+        |first: &[u8]| first.starts_with(b"[Content_Types].xml") || first.starts_with(b"mimetypeapplication/vnd.");
+    first.is_some_and(is_of_office) || beginning.starts_with(b"\xd0\xcf\x11\xe0")
 }
 
 #[cfg(test)]
@@ -52,7 +69,16 @@ mod tests {
             (b"<html>", "begins with <html>: it is a web page"),
             (b"\x1f\x8b\x08", "gzip"),
             (b"\x28\xb5\x2f\xfd\x04", "is compressed with zstd, expected a table: unpack it"),
+            (b"\xfd7zXZ\0\0", "is compressed with xz"),
+            (b"BZh91AY&SY\0", "is compressed with bzip2"),
             (b"PK\x03\x04x", "zip archive"),
+            (b"PAR1\x15\0", "is a Parquet file, expected a table: convert it"),
+            (b"\x89HDF\r\n", "is an HDF5 file"),
+            (
+                b"PK\x03\x04\x14\0\x06\0\x08\0\0\0!\0\0\0\0\0\0\0\0\0\0\0\0\0\x13\0\0\0[Content_Types].xml",
+                "is a document of an office program, expected a table: export it, a table as CSV",
+            ),
+            (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a document of an office program"),
             (b"\xff\xfet\0i\0", "is text in UTF-16, expected a table: save it in UTF-8"),
             (b"\xfe\xff\0t", "UTF-16"),
         ] {

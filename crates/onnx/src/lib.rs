@@ -56,26 +56,38 @@ fn f32_table(name: &str, rows: dimension::Value, length: usize) -> ValueInfoProt
 /// which exporters also write as a negative number;
 /// `None` where the type is another one or the shape is absent.
 pub fn f32_extents(port: &ValueInfoProto) -> Option<Vec<Option<usize>>> {
-    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref()?.value.as_ref() else { return None };
-    let is_float = tensor.elem_type == DataType::Float as i32;
     let extent = |dimension: &Dimension| match dimension.value {
         Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok(),
         _ => None,
     };
-    tensor.shape.as_ref().filter(|_| is_float).map(|shape| shape.dim.iter().map(extent).collect())
+    let shape = tensor_type(port).filter(|_| is_f32(port))?.shape.as_ref()?;
+    Some(shape.dim.iter().map(extent).collect())
+}
+
+/// Whether the elements of an input or output are 32-bit floats.
+pub fn is_f32(port: &ValueInfoProto) -> bool {
+    tensor_type(port).is_some_and(|tensor| tensor.elem_type == DataType::Float as i32)
+}
+
+fn tensor_type(port: &ValueInfoProto) -> Option<&type_proto::Tensor> {
+    match port.r#type.as_ref()?.value.as_ref()? {
+        type_proto::Value::TensorType(tensor) => Some(tensor),
+        _ => None,
+    }
 }
 
 /// Element type and shape of an input or output, as "f32 [1, 200]".
 pub fn describe(port: &ValueInfoProto) -> String {
-    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
-        return "of no known type".into();
-    };
+    let Some(tensor) = tensor_type(port) else { return "of no known type".into() };
     let element = match DataType::try_from(tensor.elem_type) {
         Ok(DataType::Float) => "f32".into(),
+        Ok(DataType::Double) => "f64".into(),
+        Ok(DataType::Float16) => "f16".into(),
         Ok(other) => format!("{other:?}"),
         Err(_) => format!("type {}", tensor.elem_type),
     };
-    let dimensions = tensor.shape.iter().flat_map(|shape| &shape.dim);
+    let Some(shape) = &tensor.shape else { return format!("{element} without a shape") };
+    let dimensions = shape.dim.iter();
     let sizes: Vec<String> = dimensions
         .map(|dimension| match &dimension.value {
             Some(dimension::Value::DimValue(size)) => size.to_string(),

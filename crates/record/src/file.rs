@@ -165,7 +165,9 @@ impl Header {
 
     fn from_map(map: &BTreeMap<String, String>) -> Result<Self, RecordingError> {
         let value = serde_json::to_value(map).expect("a map of text serialises to JSON");
-        serde_json::from_value(value).map_err(|error| RecordingError::Read(format!("its metadata: {error}")))
+        serde_json::from_value(value).map_err(|error| {
+            RecordingError::Read(format!("its metadata: {error}; expected a file made by `heliostat record`"))
+        })
     }
 }
 

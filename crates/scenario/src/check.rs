@@ -42,8 +42,8 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::Invalid`] for the first value outside its domain.
     pub(crate) fn check(&self) -> Result<(), ScenarioError> {
-        if self.name.is_empty() || self.name.len() > 64 {
-            return invalid("name", &self.name, "expected 1 to 64 characters");
+        if self.name.is_empty() || self.name.len() > 64 || self.name.contains(char::is_control) {
+            return invalid("name", self.name.escape_debug(), "expected 1 to 64 characters in one line");
         }
         self.check_room()?;
         self.check_optics()?;

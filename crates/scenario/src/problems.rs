@@ -147,11 +147,27 @@ fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>
         return (Problem { line: None, text: error.in_one_line() }, None);
     };
     let line = text[..place].matches('\n').count() + 1;
-    let document = DeTable::parse(text).ok();
-    let entry = document.and_then(|document| by_place(document.get_ref(), place));
+    let message = message.replace('\n', "; ");
+    let Ok(document) = DeTable::parse(text) else {
+        let written = visible(text.lines().nth(line - 1).unwrap_or_default());
+        let text = format!("line {line}: `{written}`: {message}; a scenario is a TOML file, as `seed = 1`");
+        return (Problem { line: Some(line), text }, None);
+    };
+    let entry = by_place(document.get_ref(), place);
     let key = entry.as_ref().map(|(key, _)| format!("{}: ", excerpt(key))).unwrap_or_default();
-    let problem = Problem { line: Some(line), text: format!("line {line}: {key}{}", message.replace('\n', "; ")) };
+    let problem = Problem { line: Some(line), text: format!("line {line}: {key}{message}") };
     (problem, entry.map(|(_, range)| range))
+}
+
+/// The beginning of a line. What is neither a letter nor of ASCII is escaped: an editor writes quotation marks and spaces
+/// that look like those of TOML.
+fn visible(line: &str) -> String {
+    let shown = |letter: char| match letter {
+        ' '..='~' => letter.to_string(),
+        _ if letter.is_alphanumeric() => letter.to_string(),
+        _ => letter.escape_default().to_string(),
+    };
+    excerpt(line.trim()).chars().map(shown).collect()
 }
 
 /// The entry of `table.key`; text after a space is ignored.
@@ -224,6 +240,27 @@ mod tests {
 
     fn problems(text: &str) -> Vec<String> {
         Scenario::check_all(text).problems.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn a_line_that_is_no_toml_is_quoted_with_what_an_editor_hides() {
+        for (text, expected) in [
+            ("[room]\nlength_x_m = 5,0\n", "line 2: `length_x_m = 5,0`: "),
+            ("{\"users\": 3}\n", "line 1: `{\"users\": 3}`: "),
+            ("name = \u{201c}Büro\u{201d}\n", "line 1: `name = \\u{201c}Büro\\u{201d}`: "),
+            ("[users]\n\tcount\u{a0}= 3\n", "line 2: `count\\u{a0}= 3`: "),
+            ("seed = 1\nseed = 2\n", "line 2: `seed = 2`: duplicate key"),
+        ] {
+            let found = problems(text);
+            let ends = "; a scenario is a TOML file, as `seed = 1`";
+            assert!(found[0].starts_with(expected) && found[0].ends_with(ends), "{expected}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_name_is_one_line() {
+        let found = problems("name = \"a\\nb\"\n");
+        assert_eq!(found, ["line 1: name = a\\nb: expected 1 to 64 characters in one line"]);
     }
 
     #[test]

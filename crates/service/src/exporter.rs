@@ -38,8 +38,16 @@ pub enum MetricsError {
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub struct MetricsArgs {
     /// Serve metrics in the OpenMetrics format at http://ADDRESS/metrics; port 0 selects a free port, which the log names
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = socket_address)]
     pub metrics_listen: Option<SocketAddr>,
+}
+
+/// The IP address and the port of a flag.
+///
+/// # Errors
+/// What was expected.
+pub fn socket_address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| "expected an IP address and a port, for example 127.0.0.1:9464 or [::1]:9464".into())
 }
 
 /// When certificates end that a process knows.
@@ -136,6 +144,15 @@ mod tests {
     use std::net::TcpStream;
 
     use super::*;
+
+    #[test]
+    fn an_address_has_a_port_and_no_name() {
+        assert_eq!(socket_address("[::1]:9464").map(|address| address.port()), Ok(9464));
+        for text in ["127.0.0.1", "localhost:9464", ":9464", "::1:9464x"] {
+            let refused = socket_address(text).expect_err(text);
+            assert!(refused.starts_with("expected an IP address and a port, for example"), "{refused}");
+        }
+    }
 
     fn get(address: SocketAddr, path: &str) -> String {
         let mut stream = TcpStream::connect(address).expect("the exporter listens");

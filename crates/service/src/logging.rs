@@ -63,7 +63,7 @@ impl LogArgs {
     /// nothing where another part of the process has started it.
     #[must_use]
     pub fn start(&self) -> LogGuard {
-        let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
+        let (filter, refused) = filter_of(std::env::var(EnvFilter::DEFAULT_ENV).ok().as_deref());
         // A closed standard error must not end a controller.
         let (writer, guard) = NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(stderr());
         let lost = writer.error_counter();
@@ -80,8 +80,24 @@ impl LogArgs {
         };
         if started.is_ok() {
             tracing::info!("{}", program_and_version());
+            if let Some(problem) = refused {
+                tracing::warn!("{problem}");
+            }
         }
         LogGuard { writer: Some(guard), lost }
+    }
+}
+
+/// The filter that the value of RUST_LOG selects, and why the value is not used.
+fn filter_of(value: Option<&str>) -> (EnvFilter, Option<String>) {
+    let usual = || EnvFilter::new(DEFAULT_FILTER);
+    match value.map(EnvFilter::try_new) {
+        None => (usual(), None),
+        Some(Ok(filter)) => (filter, None),
+        Some(Err(error)) => {
+            let expected = "expected levels and targets, for example info or warn,heliostat_bus=debug";
+            (usual(), Some(format!("the variable RUST_LOG is not used: {error}; {expected}")))
+        }
     }
 }
 
@@ -130,6 +146,21 @@ mod tests {
         fn flush(&mut self) -> io::Result<()> {
             Ok(())
         }
+    }
+
+    #[test]
+    fn a_filter_that_cannot_be_read_is_named_and_not_used() {
+        for value in [None, Some("info"), Some("warn,heliostat_bus=debug")] {
+            assert_eq!(filter_of(value).1, None, "{value:?}");
+        }
+        let (filter, problem) = filter_of(Some("heliostat=loud"));
+        assert_eq!(filter.to_string(), usual_filter());
+        let problem = problem.expect("refused");
+        assert!(problem.starts_with("the variable RUST_LOG is not used: ") && problem.ends_with("=debug"), "{problem}");
+    }
+
+    fn usual_filter() -> String {
+        EnvFilter::new(DEFAULT_FILTER).to_string()
     }
 
     #[test]

@@ -139,7 +139,10 @@ impl Place {
 }
 
 fn ip_address(text: &str) -> Result<IpAddr, String> {
-    text.parse::<IpAddr>()
+    let in_brackets = text.strip_prefix('[').and_then(|rest| rest.strip_suffix(']'));
+    in_brackets
+        .unwrap_or(text)
+        .parse::<IpAddr>()
         .map_err(|_| "expected an IP address without a port, for example 0.0.0.0; --ui-port has the port".into())
 }
 
@@ -395,7 +398,9 @@ mod tests {
 
     #[test]
     fn an_address_with_a_port_is_refused_with_the_flag_for_the_port() {
-        assert_eq!(ip_address("::1").map(|address| address.is_loopback()), Ok(true));
+        for address in ["::1", "[::1]", "127.0.0.1"] {
+            assert_eq!(ip_address(address).map(|address| address.is_loopback()), Ok(true), "{address}");
+        }
         let refused = ip_address("127.0.0.1:7480").expect_err("a port is no part of it");
         assert!(refused.ends_with("--ui-port has the port"), "{refused}");
     }

@@ -235,7 +235,10 @@ class Policy:
 
     def answer(self, observation: ArrayLike) -> Angles:
         """The angles that a learned policy gives for a flat observation, without the controller's limits."""
-        return self._policy.answer(np.ascontiguousarray(real("observation", observation), np.float32))
+        values = _array(observation, "observation", 1)
+        if not np.isfinite(values).all():
+            raise ValueError("observation holds NaN or infinity, expected finite numbers")
+        return self._policy.answer(values.astype(np.float32))
 
 
 def _find_onnxruntime() -> None:

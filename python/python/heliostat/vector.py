@@ -229,7 +229,9 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **_: Any) -> None:
         """Frees the rooms; later steps raise `RuntimeError`."""
-        self._batch.close()
+        # Gymnasium closes what it deletes, also where the constructor refused its arguments.
+        if hasattr(self, "_batch"):
+            self._batch.close()
 
     def _masked(self, figures: Mapping[str, NDArray[np.float64]], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """The figures in the form of Gymnasium: each with the mask of the environments for which it holds."""

@@ -13,7 +13,8 @@ mod metadata;
 use std::borrow::Cow;
 
 use heliostat_onnx::{
-    GraphProto, ModelProto, ValueInfoProto, describe, f32_extents, standard::check_versions, tensor::first_not_finite,
+    GraphProto, ModelProto, ValueInfoProto, describe, f32_extents, is_f32, standard::check_versions,
+    tensor::first_not_finite,
 };
 use heliostat_scenario::{Scenario, short_hash};
 use prost::Message;
@@ -276,7 +277,13 @@ impl ActorInfo {
             None => format!("for the observation {}", self.observation.name()),
         };
         let is_batch = matches!(extents(port).0, Some(Some(rows)) if rows != 1);
-        let advice = if is_batch { "export it with a fixed batch of 1" } else { "export the actor in this shape" };
+        let advice = if is_batch {
+            "export it with a fixed batch of 1"
+        } else if is_f32(port) {
+            "export the actor in this shape"
+        } else {
+            "export the actor with 32-bit floats, in PyTorch after `module.float()`"
+        };
         let (port, found) = (port.name.clone(), describe(port));
         ActorProblem::Shape { port, found, expected: format!("f32 [{rows}, {columns}] {why}"), advice }
     }

@@ -14,7 +14,10 @@ use heliostat_core::{
         weights::Head,
     },
 };
-use heliostat_onnx::{TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_shape_proto::dimension, type_proto::Value};
+use heliostat_onnx::{
+    TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_proto::DataType, tensor_shape_proto::dimension, type_proto,
+    type_proto::Value,
+};
 use heliostat_scenario::Scenario;
 
 use crate::support::{ActorRecipe, load_actor, model, scenario};
@@ -57,8 +60,10 @@ fn a_truncated_file_is_refused() {
 
 #[test]
 fn other_ports_are_refused() {
-    expect_refusal(&ActorRecipe { input_name: "state", ..fitting() }, &["inputs", "state", "\"observation\""]);
-    expect_refusal(&ActorRecipe { output_name: "action", ..fitting() }, &["outputs", "action", "\"angles\""]);
+    let input = ActorRecipe { input_name: "state", ..fitting() };
+    expect_refusal(&input, &["inputs", "state", "\"observation\"; export it", "input_names=[\"observation\"]"]);
+    let output = ActorRecipe { output_name: "action", ..fitting() };
+    expect_refusal(&output, &["outputs", "action", "\"angles\"; export it", "output_names=[\"angles\"]"]);
 }
 
 #[test]
@@ -323,14 +328,33 @@ fn a_file_that_holds_no_network_is_named() {
 fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
     assert!(load_actor(&ActorRecipe { port: f32_rows, ..fitting() }.file(), &scenario(&[])).is_ok());
     fn batch(name: &str, length: usize) -> ValueInfoProto {
-        let mut port = f32_row(name, length);
-        let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else {
-            panic!("a tensor")
-        };
-        tensor.shape.as_mut().expect("a shape").dim[0].value = Some(dimension::Value::DimValue(4));
-        port
+        row_with(name, length, |tensor| {
+            tensor.shape.as_mut().expect("a shape").dim[0].value = Some(dimension::Value::DimValue(4));
+        })
     }
     expect_refusal(&ActorRecipe { port: batch, ..fitting() }, &["f32 [4, 122]", "f32 [1, 122]", "fixed batch of 1"]);
+}
+
+#[test]
+fn another_element_type_and_an_absent_shape_are_refused_as_such() {
+    fn double(name: &str, length: usize) -> ValueInfoProto {
+        row_with(name, length, |tensor| tensor.elem_type = DataType::Double as i32)
+    }
+    let words = ["\"observation\" is f64 [1, 122], expected f32 [1, 122]", "export the actor with 32-bit floats"];
+    expect_refusal(&ActorRecipe { port: double, ..fitting() }, &words);
+    fn shapeless(name: &str, length: usize) -> ValueInfoProto {
+        row_with(name, length, |tensor| tensor.shape = None)
+    }
+    let words = ["\"observation\" is f32 without a shape, expected f32 [1, 122]", "in this shape"];
+    expect_refusal(&ActorRecipe { port: shapeless, ..fitting() }, &words);
+}
+
+/// A row of 32-bit floats, changed.
+fn row_with(name: &str, length: usize, change: fn(&mut type_proto::Tensor)) -> ValueInfoProto {
+    let mut port = f32_row(name, length);
+    let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else { panic!("a tensor") };
+    change(tensor);
+    port
 }
 
 #[test]

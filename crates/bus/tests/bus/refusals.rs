@@ -25,6 +25,7 @@ fn endpoints_are_checked_before_a_session_opens() {
         ("127.0.0.1:7447", "it has no protocol before a '/'"),
         ("", "it has no protocol before a '/'"),
         ("tcp/127.0.0.1", "it has no port"),
+        ("tcp/[::1]", "it has no port"),
         ("tcp/:7447", "it has no host"),
         ("tcp/127.0.0.1:74470", "\"74470\" is not a port"),
         ("tcp/127.0.0.1:http", "\"http\" is not a port"),

@@ -8,6 +8,7 @@ use heliostat_controller::room_runtime::transport::TakeCommand;
 use heliostat_driver::cli::DrivenArgs;
 use heliostat_driver::direct_commands::DirectCommands;
 use heliostat_driver::run::Settings;
+use heliostat_service::exporter::socket_address;
 use heliostat_service::{MetricsArgs, output};
 use serde_json::Value;
 
@@ -35,7 +36,7 @@ pub struct Args {
     #[arg(long, value_name = "ENDPOINT", requires = "driver", conflicts_with = "client")]
     driver_listen: Vec<String>,
     /// Serve the metrics of the array at http://ADDRESS/metrics
-    #[arg(long, value_name = "ADDRESS", requires = "driver")]
+    #[arg(long, value_name = "ADDRESS", value_parser = socket_address, requires = "driver")]
     driver_metrics_listen: Option<SocketAddr>,
 }
 

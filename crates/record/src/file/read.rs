@@ -33,6 +33,10 @@ pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
     if let Some(what) = foreign_file(beginning, "a recording of `heliostat record`") {
         return Err(RecordingError::OtherKind(what));
     }
+    // A reader takes a file that is shorter than the mark of the format for one that was cut.
+    if !beginning.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
+        return Err(no_mcap());
+    }
     match Reading::open(first) {
         Err(RecordingError::Foreign) => {
             let header = Reading::new(source()?).later_header()?;
@@ -40,6 +44,10 @@ pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
         }
         reading => reading,
     }
+}
+
+fn no_mcap() -> RecordingError {
+    RecordingError::OtherKind("is not an MCAP file; expected a file made by `heliostat record`".into())
 }
 
 /// One message of a file.
@@ -136,10 +144,8 @@ impl<R: Read> Reading<R> {
 
     fn step(&mut self) -> Result<Step, RecordingError> {
         let unreadable = |error: McapError| match error {
-            McapError::BadMagic => {
-                RecordingError::OtherKind("is not an MCAP file; expected a file made by `heliostat record`".into())
-            }
-            error => RecordingError::Read(error.to_string()),
+            McapError::BadMagic => no_mcap(),
+            error => RecordingError::Read(format!("{error}; copy the file again, or repair it with `mcap recover`")),
         };
         let event = match self.reader.next_event() {
             None => return self.end(),

@@ -69,7 +69,7 @@ impl Beginning {
                 return Ok(Self { clock, room, capabilities, mirrors });
             }
         }
-        Err(no_report(&unreadable))
+        Err(no_report(&unreadable, reading.account().is_none()))
     }
 }
 
@@ -162,7 +162,7 @@ impl Plan {
             }
         }
         plan.schedules = schedules.build();
-        plan.clock = clock.ok_or_else(|| no_report(&unreadable))?;
+        plan.clock = clock.ok_or_else(|| no_report(&unreadable, reading.account().is_none()))?;
         plan.leave_out_other_scenarios(&hash)?;
         ensure!(
             !plan.epochs.is_empty(),
@@ -290,13 +290,16 @@ impl Plan {
 }
 
 /// Why no position report was found.
-fn no_report(unreadable: &Unreadable) -> Error {
+fn no_report(unreadable: &Unreadable, was_cut: bool) -> Error {
     if unreadable.count > 0 {
         return anyhow!("it holds no position report that can be read; {unreadable}");
     }
-    anyhow!(
-        "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote"
-    )
+    let why = if was_cut {
+        "the recording was cut, and nothing complete precedes the cut: copy the file again, or record again"
+    } else {
+        "the recorder was not connected to the room's process: record again with its endpoint in --connect"
+    };
+    anyhow!("it holds no position report: {why}")
 }
 
 /// Why this program cannot decide by a recorded policy.
@@ -392,11 +395,12 @@ mod tests {
     #[test]
     fn reports_that_cannot_be_read_are_no_absent_reports() {
         let (room, mut unreadable) = (Room::new("a").unwrap(), Unreadable::default());
-        assert!(no_report(&unreadable).to_string().contains("the recorder was not connected"));
+        assert!(no_report(&unreadable, false).to_string().contains("the recorder was not connected"));
+        assert!(no_report(&unreadable, true).to_string().contains("the recording was cut"));
         for payload in [&[2, 1, 0][..], &[]] {
             assert!(unreadable.read(&room, &room.users(), payload).is_none());
         }
-        let error = no_report(&unreadable).to_string();
+        let error = no_report(&unreadable, true).to_string();
         assert!(
             error.contains("messages that cannot be read: 2, the first one: payload of contract version 2"),
             "{error}"

@@ -204,6 +204,15 @@ fn a_full_disk_is_reported_and_leaves_a_complete_file() {
 }
 
 #[test]
+fn a_damaged_chunk_is_refused_with_what_to_do() {
+    let mut bytes = include_bytes!("../../../../tests/data/golden.mcap").to_vec();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0xff;
+    let refusal = read(Cursor::new(bytes)).expect_err("a damaged chunk").to_string();
+    assert!(refusal.ends_with("; copy the file again, or repair it with `mcap recover`"), "{refusal}");
+}
+
+#[test]
 fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
     let refusal = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).expect_err("no recording").to_string();
     assert!(refusal(b"some text that is long enough to be looked at").contains("is not an MCAP file"), "a text file");
@@ -225,6 +234,7 @@ fn a_file_of_another_kind_is_named_with_what_to_do() {
             "is a pointer of git-lfs, expected a recording",
         ),
         (b"", "is empty"),
+        (b"hello", "is not an MCAP file; expected a file made by `heliostat record`"),
         (
             b"name = \"hall\"\n[room]\nlength_x_m = 5\n",
             "is not an MCAP file; expected a file made by `heliostat record`",

@@ -48,7 +48,7 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
         "42 used",
         "2 rows refused",
         "line 22: invalid frame `bad`",
-        "line 44: time 31.2 s of 2 is not after",
+        "line 44: time 31.2 s of the pedestrian 2 is not",
         "2 in 2 tracks",
         "2.50 positions a second",
         "x 0.00 to 8.00 m, y 0.00 to 2.00 m",
@@ -66,6 +66,14 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
     // The walk is as long as the part in which both are present.
     let walk = fs::read_to_string(folder.path().join("walk.csv")).expect("the walk");
     assert_eq!(walk.lines().last().map(|row| row.starts_with("6,")), Some(true), "{walk}");
+}
+
+#[test]
+fn the_command_that_plays_a_walk_is_quoted_for_a_shell() {
+    let folder = folder();
+    let imported = heliostat(&folder, &IMPORT.replace("walk.csv", "a&b.csv"));
+    let report = text(&imported.stdout);
+    assert!(report.contains("--set users.count=2 --set 'users.trace=a&b.csv'"), "{report}");
 }
 
 #[test]

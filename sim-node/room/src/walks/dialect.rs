@@ -7,13 +7,14 @@ pub(super) enum Separator {
     Tab,
     Comma,
     Semicolon,
+    Bar,
 }
 
 impl Separator {
-    /// The separator of a row. A semicolon comes first, because a European spreadsheet that writes
-    /// it uses the comma as decimal mark. A tab comes before the comma for the same reason.
+    /// The separator of a row. A semicolon comes before the comma, because a European spreadsheet that
+    /// writes it uses the comma as decimal mark. A tab and a bar come before it for the same reason.
     pub(super) fn of(row: &str) -> Self {
-        [(';', Self::Semicolon), ('\t', Self::Tab), (',', Self::Comma)]
+        [('|', Self::Bar), (';', Self::Semicolon), ('\t', Self::Tab), (',', Self::Comma)]
             .into_iter()
             .find(|(mark, _)| split(row, *mark).len() > 1)
             .map_or(Self::Whitespace, |(_, separator)| separator)
@@ -29,6 +30,7 @@ impl Separator {
             Self::Tab => split(row, '\t').into_iter().map(bare).collect(),
             Self::Comma => split(row, ',').into_iter().map(bare).collect(),
             Self::Semicolon => split(row, ';').into_iter().map(bare).collect(),
+            Self::Bar => split(row, '|').into_iter().map(bare).collect(),
         }
     }
 }
@@ -38,7 +40,7 @@ fn split(row: &str, mark: char) -> Vec<&str> {
     let (mut cells, mut start) = (Vec::new(), 0);
     let (mut is_quoted, mut in_quotes, mut last) = (false, false, None);
     for (at, character) in row.char_indices() {
-        let begins_cell = matches!(last, None | Some(',' | ';' | '\t'));
+        let begins_cell = matches!(last, None | Some(',' | ';' | '\t' | '|'));
         if character == '"' && (is_quoted || begins_cell) {
             // Two of them within a quoted cell stand for one.
             (is_quoted, in_quotes) = (true, !in_quotes);
@@ -65,6 +67,7 @@ mod tests {
             ("7.8e2  1 2.5", Separator::Whitespace, vec!["7.8e2", "1", "2.5"]),
             ("0, 1 ,\"x\"", Separator::Comma, vec!["0", "1", "x"]),
             ("0,4;1;2,5", Separator::Semicolon, vec!["0,4", "1", "2,5"]),
+            ("0,4|1|\"2|5\"", Separator::Bar, vec!["0,4", "1", "2|5"]),
             ("0,\"hall; \"\"A\"\", east\",5", Separator::Comma, vec!["0", "hall; \"\"A\"\", east", "5"]),
             ("0,4\t\t2,5", Separator::Tab, vec!["0,4", "", "2,5"]),
         ] {

@@ -189,7 +189,10 @@ impl<R: BufRead> Lines<R> {
                 Ok(0) => return Ok(None),
                 Ok(_) => self.line += 1,
                 Err(error) if error.kind() == ErrorKind::InvalidData => {
-                    let text = format!("line {} is not UTF-8: expected a text in UTF-8", self.line + 1);
+                    let text = format!(
+                        "line {} is not UTF-8: expected a text in UTF-8; save it again in this encoding",
+                        self.line + 1
+                    );
                     return Err(ReadError::Text(text));
                 }
                 Err(error) => return Err(error.into()),

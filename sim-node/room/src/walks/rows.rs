@@ -38,5 +38,20 @@ pub(super) fn refusal(line: u64, reason: String) -> RowRefusal {
 pub(super) fn number(line: u64, column: &str, text: &str) -> Result<f64, RowRefusal> {
     let with_point = || text.replacen(',', ".", 1).parse::<f64>().ok();
     let value = text.parse::<f64>().ok().or_else(with_point).filter(|value| value.is_finite());
-    value.ok_or_else(|| refusal(line, format!("invalid {column} `{}`: expected a finite number", excerpt(text))))
+    value.ok_or_else(|| {
+        let (text, hint) = (excerpt(text), hint(column, text));
+        refusal(line, format!("invalid {column} `{text}`: expected a finite number{hint}"))
+    })
+}
+
+/// What a cell is that holds no number, and what to do.
+fn hint(column: &str, text: &str) -> &'static str {
+    let begins_with_digit = text.starts_with(|letter: char| letter.is_ascii_digit());
+    if text.eq_ignore_ascii_case(column) {
+        "; the header stands here again: import joined files one by one"
+    } else if begins_with_digit && text.contains([':', '/', '-']) {
+        "; write a date or a time of day as seconds"
+    } else {
+        ""
+    }
 }

@@ -193,7 +193,8 @@ impl Collector {
         let is_apart = |last_s: f64| row.time_s - last_s >= APART_S;
         if let Some(last_s) = before.map(|pedestrian| pedestrian.last_s).filter(|last_s| !is_apart(*last_s)) {
             let reason = format!(
-                "time {} s of {} is not after {last_s} s by {APART_S} s: expected ascending times for each pedestrian",
+                "time {} s of the pedestrian {} is not {APART_S} s after {last_s} s: expected ascending times for each \
+                 pedestrian; sort the rows by time, and leave out repeated ones",
                 row.time_s, row.pedestrian
             );
             return Err(RowRefusal { line: row.line, reason });
@@ -285,7 +286,7 @@ mod tests {
         let collected = collect(Kept::default(), &rows);
         let lines: Vec<u64> = collected.refusals.iter().map(|refusal| refusal.line).collect();
         assert_eq!((lines, collected.counts.refused, collected.pedestrians), (vec![3, 4], 2, 2));
-        assert!(collected.refusals[0].reason.contains("time 1 s of a is not after 1 s"));
+        assert!(collected.refusals[0].reason.contains("time 1 s of the pedestrian a is not 0.0002 s after 1 s"));
     }
 
     #[test]

@@ -83,7 +83,10 @@ pub enum TraceError {
         length_y_m: f64,
     },
     /// The samples of a user are not in order of time.
-    #[error("line {line}: time {time} of user {user} is not after {previous}: expected ascending times for each user")]
+    #[error(
+        "line {line}: time {time} of user {user} is not after {previous}: expected ascending times for each user; \
+         sort the rows by time"
+    )]
     Order {
         /// Line number, from 1.
         line: usize,

@@ -74,7 +74,7 @@ pub enum ActorProblem {
         removed: Removed,
     },
     /// Inputs or outputs have other names or another number.
-    #[error(" has {side} {found:?}, expected exactly one, \"{expected}\"")]
+    #[error(" has {side} {found:?}, expected exactly one, \"{expected}\"; {}", one_port(side, found, expected))]
     Ports {
         /// "inputs" or "outputs".
         side: &'static str,
@@ -177,4 +177,14 @@ pub enum ActorProblem {
         /// The engine's message.
         message: String,
     },
+}
+
+/// What to do about inputs or outputs that are not the one expected.
+fn one_port(side: &str, found: &[String], expected: &str) -> String {
+    match (found.len(), side) {
+        (1, "inputs") => format!("export it with this name, in PyTorch with input_names=[\"{expected}\"]"),
+        (1, _) => format!("export it with this name, in PyTorch with output_names=[\"{expected}\"]"),
+        (_, "inputs") => "export a network of the observation alone, without a recurrent state".to_owned(),
+        _ => "export a network that returns the action alone".to_owned(),
+    }
 }

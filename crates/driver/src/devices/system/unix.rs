@@ -67,7 +67,10 @@ pub fn open_serial(path: &str, baud: u32) -> io::Result<File> {
         .write(true)
         .custom_flags((OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits())
         .open(path)?;
-    let mut settings = termios::tcgetattr(&port)?;
+    let mut settings = termios::tcgetattr(&port).map_err(|error| match error {
+        Errno::ENOTTY => io::Error::other("it is no serial port; expected one, for example /dev/ttyUSB0"),
+        other => other.into(),
+    })?;
     termios::cfmakeraw(&mut settings);
     termios::cfsetspeed(&mut settings, speed)?;
     settings.control_chars[SpecialCharacterIndices::VMIN as usize] = 0;
@@ -131,5 +134,14 @@ pub fn wait(stream: &dyn Stream, wake_up: &WakeUp, ready: Ready, limit: Duration
             Ok(())
         }
         Err(error) => Err(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_device_that_is_no_terminal_is_named() {
+        let error = super::open_serial("/dev/null", 9_600).expect_err("no terminal");
+        assert!(error.to_string().starts_with("it is no serial port; expected one"), "{error}");
     }
 }

@@ -125,6 +125,7 @@ fn separators_and_decimal_commas_are_recognised() {
         (WalkFormat::EthUcy, "0;3;1,5;-2\n10;3;1,6;-2\n"),
         (WalkFormat::Csv, "\u{feff}time;user;x;y\r\n0,0;3;1,5;-2\r\n0,4;3;1,6;-2\r\n"),
         (WalkFormat::Csv, "time\tuser\tx\ty\n0\t3\t1.5\t-2\n0.4\t3\t1.6\t-2\n"),
+        (WalkFormat::Csv, "time|user|x|y\n0|3|1,5|-2\n0,4|3|1,6|-2\n"),
         (WalkFormat::Csv, "\"\",\"time\",\"user\",\"x\",\"y\"\n\"1\",0,3,1.5,-2\n\"2\",0.4,3,1.6,-2\n"),
     ] {
         let read = rows(of(format), text).expect("readable");
@@ -132,6 +133,21 @@ fn separators_and_decimal_commas_are_recognised() {
     }
     let thousands = rows(of(WalkFormat::Csv), "time;user;x;y\n0;3;1,234.5;0\n").expect("readable");
     assert_eq!(refusals(&thousands), [(2, "invalid x `1,234.5`: expected a finite number")]);
+}
+
+#[test]
+fn a_time_that_is_a_date_and_a_repeated_header_are_named() {
+    let text = "time,user,x,y\n2026-03-01T12:00:00Z,3,1,2\n12:00:00,3,1,2\n01/03/2026,3,1,2\ntime,user,x,y\n-x,3,1,2\n";
+    let read = rows(of(WalkFormat::Csv), text).expect("readable");
+    let found = refusals(&read);
+    for (line, reason) in &found[..3] {
+        assert!(
+            reason.ends_with("expected a finite number; write a date or a time of day as seconds"),
+            "{line}: {reason}"
+        );
+    }
+    assert!(found[3].1.ends_with("the header stands here again: import joined files one by one"), "{found:?}");
+    assert_eq!(found[4], (6, "invalid time `-x`: expected a finite number"));
 }
 
 #[test]

@@ -183,7 +183,7 @@ fn the_allocations_of_a_decision_on_onnxruntime_are_the_same_each_time() {
 /// Resident memory of this process in bytes.
 #[cfg(target_os = "linux")]
 fn resident_bytes() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").expect("Linux has /proc");
+    let status = fs::read_to_string("/proc/self/status").expect("Linux has /proc");
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("it states the resident memory");
     1024.0 * line.trim_end_matches("kB").trim().parse::<f64>().expect("a number of kB")
 }

@@ -235,7 +235,7 @@ fn the_figures_of_a_user_are_in_one_line_on_a_phone_and_not_cut_off_on_a_smaller
     // Long figures, in one script before the next ones.
     let shown = "for (const { cells } of document.querySelectorAll('#users tr')) { \
            [cells[1].textContent, cells[3].textContent, cells[4].textContent] = ['by order', 'below 1.0', '23 %, 1.2 s']; \
-           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' of 12.3']; } \
+           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' > 999 %']; } \
          const rates = document.getElementById('rates'); \
          const heights = [...document.querySelectorAll('#users td')].map((cell) => cell.clientHeight); \
          return [rates.scrollWidth <= rates.clientWidth, Math.max(...heights) < 26]";

@@ -366,6 +366,23 @@ fn a_screen_reader_finds_the_sentence_in_a_landmark_and_each_list_as_a_list() {
     assert_eq!(browser.run(roles), json!([0, true, true]));
 }
 
+#[needs("browser")]
+#[test]
+fn a_screen_reader_reads_a_banner_once_while_its_ages_change() {
+    let (_setting, browser) = Setting::shown();
+    let spoken = "return import('/sentence.js').then(({ spoken }) => \
+         spoken('The array has not confirmed the stop for 7.3 s. Ordered by a (b), known to the server of this page for 12 s.'))";
+    assert_eq!(
+        browser.run(spoken),
+        "The array has not confirmed the stop. Ordered by a (b), known to the server of this page."
+    );
+    browser.click("#stop");
+    let said = "const said = document.getElementById('said'); return said.role === 'alert' ? said.textContent : ''";
+    let is_said = |text: &str| browser.run(said).as_str().is_some_and(|said| said.contains(text));
+    wait_until("a confirmed stop", || is_said("confirmed the stop: its device has executed it."));
+    assert!(is_said("known to the server of this page. Re-arm releases it."), "{}", browser.run(said));
+}
+
 /// The focused element: its id, and whether a ring shows the focus.
 fn focused(browser: &Browser) -> (String, bool) {
     let script = "const at = document.activeElement; \

@@ -255,12 +255,12 @@ export class Charts {
       return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };
     this.sumPlot = this.plot(this.sum, {
-      padding: [() => this.earlier.offsetHeight + EARLIER_GAP_PX, 6, 0, 0],
+      padding: [() => this.earlier.offsetHeight + EARLIER_GAP_PX, 14, 0, 0],
       scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },
       series: [{}, ...lines.map(([key, , , dash, width], line) => ({
         stroke: (plot) => (key === "policy" ? this.strokeOf(plot) : this.lines()[lines.length - 1 - line][2]), dash, width, points: { show: false },
       }))],
-      axes: [this.axis("", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
+      axes: [this.axis("", { values: (_, splits) => splits.map((x) => (x === 0 ? "now" : `${-x} s`)) }), this.axis("", { size: 34, space: 16 })],
     }, data, text);
   }
 

@@ -98,9 +98,10 @@ function fill(row, user, largest) {
   setText(path, user.blocked === null ? "unknown" : user.forced ? "by order" : user.blocked ? "blocked" : "clear");
   const [known, possible] = figure.children;
   setText(known, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
-  const oracle = rate === null ? null : user.oracle_mbps ?? null;
-  setText(possible, oracle === null ? "" : ` of ${oracle.toFixed(oracle < 100 ? 1 : 0)}`);
-  setTitle(figure, oracle === null ? "" : `The oracle gives this user ${oracle.toFixed(2)} Mbit/s.`);
+  const [oracle, share] = rate === null ? [null, null] : [user.oracle_mbps ?? null, user.share_of_oracle ?? null];
+  setText(possible, share === null ? "" : ` ${shareText(share)}`);
+  const judged = share === null ? "" : ` The mirrors gave ${shareText(share)} of it at the same time.`;
+  setTitle(figure, oracle === null ? "" : `At the last status of the simulator the oracle gave this user ${oracle.toFixed(2)} Mbit/s.${judged}`);
   setClass(figure, below ? "number bad" : "number");
   setText(minimum, `${below ? "below " : ""}${user.min_rate_mbps.toFixed(1)}`);
   setTitle(minimum, below ? "The rate is below the minimum rate." : "");
@@ -109,6 +110,9 @@ function fill(row, user, largest) {
   bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;
   bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
 }
+
+// The oracle may give a user hardly any rate, for the sum.
+const shareText = (share) => (share > 9.99 ? "> 999 %" : `${(100 * share).toFixed(0)} %`);
 
 function outageText(outage) {
   if (outage === null) return "–";

@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.js";
+import { banner, endBanner, inCharge, lastSentence, sentence, spoken } from "./sentence.js";
 import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -27,6 +27,7 @@ function showBanner({ now, ages, ended }) {
   const shown = ended ? endBanner(ended, now) : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
   const element = at("banner");
   element.hidden = shown === null;
+  setText(at("said"), shown ? spoken(shown.text) : "");
   if (!shown) return;
   setText(element, shown.text);
   element.dataset.kind = shown.kind;
@@ -162,5 +163,6 @@ start().catch((error) => {
   at("banner").hidden = false;
   at("banner").dataset.kind = "bad";
   setText(at("banner"), notStarted(error));
+  setText(at("said"), notStarted(error));
   console.error(error);
 });

@@ -80,6 +80,9 @@ export function sentence(now, age, shown, frame) {
   return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
 }
 
+// A text for a screen reader, which reads it again at each change: without ages, which change several times a second.
+export const spoken = (text) => text.replace(/ for [\d.]+ s\b/g, "");
+
 // Who ordered a stop, why, and since when the page knows of it.
 function orderedBy({ name, operator, reason, age_s }) {
   if (/^0+\/0$/.test(name)) return `The array started stopped${reason ? ` (${reason})` : ""}.`;

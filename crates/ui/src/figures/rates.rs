@@ -24,6 +24,9 @@ pub struct UserFigures {
     /// Rate at the angles of the oracle in Mbit/s, by the last status of a simulated room; absent where it is unknown
     /// and while the mirrors do not follow a policy.
     pub oracle_mbps: Option<f64>,
+    /// The user's rate as a share of [`oracle_mbps`](Self::oracle_mbps), both of the instant of that status; absent
+    /// where it is unknown, and where the oracle gives this user no rate.
+    pub share_of_oracle: Option<f64>,
     /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
     pub is_rate_known: bool,
     /// The user's minimum rate in Mbit/s.
@@ -73,13 +76,15 @@ impl PastSum {
 pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
     if let Some(truth) = Received::fresh(&received.truth) {
         let oracle = oracle_rates(received);
+        let of_oracle = |user: u32| oracle.iter().find(|rate| rate.user == user);
         let user = |user: &TruthUser| UserFigures {
             user: user.user,
             position_m: user.position_m,
             blocked: Some(user.los_blocked),
             forced: user.forced,
             rate_mbps: user.rate_bps * 1e-6,
-            oracle_mbps: oracle.iter().find(|rate| rate.user == user.user).map(|rate| rate.mbps),
+            oracle_mbps: of_oracle(user.user).map(|rate| rate.mbps),
+            share_of_oracle: of_oracle(user.user).and_then(|rate| share_of_oracle(received, rate)),
             is_rate_known: true,
             min_rate_mbps: user.min_rate_bps * 1e-6,
         };
@@ -97,6 +102,7 @@ pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, 
             forced: false,
             rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
             oracle_mbps: None,
+            share_of_oracle: None,
             is_rate_known: gains.is_some(),
             min_rate_mbps: user.min_rate_bps * 1e-6,
         }
@@ -108,6 +114,12 @@ pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, 
 fn oracle_rates(received: &Received) -> Vec<OracleRate> {
     let room = received.fresh_status(NodeKind::SimNode.name()).filter(|_| received.in_charge().idle.is_empty());
     room.map(OracleRate::all_of).unwrap_or_default()
+}
+
+/// A user's rate as a share of that of the oracle at the same instant. Its present rate is of a later instant.
+fn share_of_oracle(received: &Received, oracle: &OracleRate) -> Option<f64> {
+    let (_, rate_bps) = received.rates_at_status.iter().find(|(user, _)| *user == oracle.user)?;
+    (oracle.mbps > 0.0).then(|| f64::from(*rate_bps) * 1e-6 / oracle.mbps)
 }
 
 /// The sum rates; `None` where they are unknown.
@@ -184,5 +196,15 @@ mod tests {
         assert_eq!(oracle(ArrayState::Following, 3), Some(12.5));
         assert_eq!(oracle(ArrayState::Following, 4), None, "this user has just entered");
         assert_eq!(oracle(ArrayState::Parked, 3), None, "no policy is judged");
+    }
+
+    #[test]
+    fn a_share_of_the_oracle_compares_rates_of_one_instant() {
+        let rates_at_status = vec![(3, 10e6), (4, 10e6)];
+        let received = Received { rates_at_status, ..Received::default() };
+        let share = |user, mbps| share_of_oracle(&received, &OracleRate { user, mbps });
+        assert!((share(3, 12.5).expect("a share") - 0.8).abs() < 1e-9);
+        assert_eq!(share(4, 0.0), None, "the oracle gives this user no rate");
+        assert_eq!(share(5, 12.5), None, "this user has just entered");
     }
 }

@@ -44,6 +44,9 @@ pub(crate) struct Sample {
 #[derive(Default)]
 pub(crate) struct Received {
     pub truth: Dated<RoomTruth>,
+    /// The users and their rates in bit/s in the truth before the last status of the simulator. The rates of the oracle
+    /// in this status are of the same instant.
+    pub rates_at_status: Vec<(u32, f32)>,
     pub users: Dated<UserReport>,
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
@@ -264,6 +267,10 @@ impl Received {
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
+        if status.node == NodeKind::SimNode {
+            let users = Self::fresh(&self.truth).map(|truth| &truth.users[..]).unwrap_or_default();
+            self.rates_at_status = users.iter().map(|user| (user.user, user.rate_bps)).collect();
+        }
         self.statuses.insert(name, (Instant::now(), status));
     }
 }
@@ -281,7 +288,7 @@ pub(super) fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp};
+    use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp, TruthUser};
 
     use super::*;
 
@@ -321,6 +328,19 @@ mod tests {
         assert_eq!(shown(&received), (2, 4), "its last status, of the handover");
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn the_rates_beside_a_status_of_the_simulator_stay_those_of_its_instant() {
+        let mut received = Received::default();
+        let truth = |rate_bps| {
+            let users = vec![TruthUser { user: 3, rate_bps, ..TruthUser::default() }];
+            RoomTruth { users, ..RoomTruth::default() }
+        };
+        received.take_truth(truth(10e6));
+        received.take_status(0, NodeStatus { node: NodeKind::SimNode, ..status(7, 0, 0) });
+        received.take_truth(truth(20e6));
+        assert_eq!(received.rates_at_status, [(3, 10e6)]);
     }
 
     #[test]

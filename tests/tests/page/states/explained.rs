@@ -86,7 +86,7 @@ fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_n
     let asked = "return import('/charts.js').then(async ({ Charts }) => { \
            let asked = 0; \
            const charts = new Charts({ budget_us: 500, history: [] }, async () => { asked += 1; return [[3, { policy: 2 }]]; }); \
-           charts.redraw = { run() {} }; \
+           charts.redraw = { run() {}, reset() {} }; \
            for (const time_s of [0, 1, 5, 6]) charts.update({ time_s, origin: 'simulated', sum_mbps: { policy: 1 } }, { name: 'greedy', idle: '' }); \
            await new Promise((resolve) => setTimeout(resolve)); \
            return [asked, charts.past.map(({ time_s }) => time_s)]; })";

@@ -235,7 +235,7 @@ fn the_figures_of_a_user_are_in_one_line_on_a_phone_and_not_cut_off_on_a_smaller
     // Long figures, in one script before the next ones.
     let shown = "for (const { cells } of document.querySelectorAll('#users tr')) { \
            [cells[1].textContent, cells[3].textContent, cells[4].textContent] = ['by order', 'below 1.0', '23 %, 1.2 s']; \
-           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' of 12.3']; } \
+           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' > 999 %']; } \
          const rates = document.getElementById('rates'); \
          const heights = [...document.querySelectorAll('#users td')].map((cell) => cell.clientHeight); \
          return [rates.scrollWidth <= rates.clientWidth, Math.max(...heights) < 26]";
@@ -364,6 +364,23 @@ fn a_screen_reader_finds_the_sentence_in_a_landmark_and_each_list_as_a_list() {
          document.getElementById('sentence').closest('[role=region][aria-label]') !== null, \
          document.getElementById('problem').closest('[role=alert]') !== null]";
     assert_eq!(browser.run(roles), json!([0, true, true]));
+}
+
+#[needs("browser")]
+#[test]
+fn a_screen_reader_reads_a_banner_once_while_its_ages_change() {
+    let (_setting, browser) = Setting::shown();
+    let spoken = "return import('/sentence.js').then(({ spoken }) => \
+         spoken('The array has not confirmed the stop for 7.3 s. Ordered by a (b), known to the server of this page for 12 s.'))";
+    assert_eq!(
+        browser.run(spoken),
+        "The array has not confirmed the stop. Ordered by a (b), known to the server of this page."
+    );
+    browser.click("#stop");
+    let said = "const said = document.getElementById('said'); return said.role === 'alert' ? said.textContent : ''";
+    let is_said = |text: &str| browser.run(said).as_str().is_some_and(|said| said.contains(text));
+    wait_until("a confirmed stop", || is_said("confirmed the stop: its device has executed it."));
+    assert!(is_said("known to the server of this page. Re-arm releases it."), "{}", browser.run(said));
 }
 
 /// The focused element: its id, and whether a ring shows the focus.

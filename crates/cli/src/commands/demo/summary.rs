@@ -254,7 +254,10 @@ impl Summary {
             ("users", room.map(|room| &room.turnover)),
             ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
-            ("commands not sent", controller.map(|controller| &controller.withheld)),
+            (
+                "commands not sent (standby: the controller did not lead; withheld: a stop)",
+                controller.map(|controller| &controller.withheld),
+            ),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
             ("refused by the room", room.map(|room| &room.refused)),
         ] {

@@ -44,7 +44,11 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     assert score.states == score.episodes == 5 and 0.2 < score.ratio_to_oracle < 0.95
     assert score.ratio_to_oracle_ci95 > 0.0 and score.outage is None and 0.0 < score.fairness <= 1.0
     assert 0.0 <= score.ber < 0.5 and score.conditions == ()
-    assert score == heliostat.evaluate(zero, env, states=5)
+    assert score == heliostat.evaluate(zero, env, states=5) and hash(score) is not None
+    ratios = np.array(score.each["ratio_to_oracle"], float)
+    assert score.each["states"] == (1,) * 5 and ratios.mean() == pytest.approx(score.ratio_to_oracle)
+    missing = [value is None for value in score.each["blocked_rate_mbps"]]
+    assert len(missing) == 5 and all(missing) == (score.blocked_rate_mbps is None)
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
     assert np.array_equal(env.step(zero(seen))[0], fresh.step(zero(seen))[0])
@@ -333,6 +337,10 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     assert {names.get(name, name) for name in score.crossing} - {""} == crossing
     assert score.episodes == 4
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+    assert score.each["states"] == (20, 10, 20, 10)
+    for figure in ("sum_rate_mbps", "qos_met", "fairness", "outage", "ber", "oracle_mbps"):
+        weighted = np.average(np.array(score.each[figure], float), weights=score.each["states"])
+        assert weighted == pytest.approx(getattr(score, figure), rel=1e-9), figure
     # The environment is as it was.
     fresh = gymnasium.make("heliostat/Hall-v0")
     fresh.reset(seed=4)

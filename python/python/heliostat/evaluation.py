@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from numpy.typing import ArrayLike
@@ -62,6 +62,10 @@ class Score:
     """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
     conditions: tuple[str, ...]
     """The conditions of the scenario, as `heliostat-lab eval` states them; those of policies excepted."""
+    each: Mapping[str, tuple[float | None, ...]] = field(repr=False, hash=False)
+    """By the name of a figure its mean in each episode, `None` where it is missing there, and as `states` their numbers
+    of states. Episode i of two scores with the same scenario, dynamics, states and seeds has the same room, so their
+    difference is paired."""
 
 
 def evaluate(
@@ -99,9 +103,11 @@ def evaluate(
         found = score(inner.scenario, not inner.is_static, states, seeds, groups)
     figures: dict[str, Any] = {"outage": None, "outage_ci95": None}
     crossing: list[str] = []
-    for name, (mean, ci95, crosses) in found:
+    each: dict[str, tuple[float | None, ...]] = {"states": tuple(len(group) for group in groups)}
+    for name, (mean, ci95, crosses), of_episodes in found:
         own = _NAMES.get(name, name)
         figures |= {own: mean, f"{own}_ci95": ci95}
+        each[own] = tuple(None if math.isnan(value) else value for value in of_episodes)
         if crosses:
             crossing.append(own)
     for name in ("blocked_rate_mbps", "blocked_rate_mbps_ci95"):
@@ -118,6 +124,7 @@ def evaluate(
         episodes=len(groups),
         crossing=tuple(crossing),
         conditions=inner.conditions,
+        each=each,
     )
 
 

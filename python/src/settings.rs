@@ -11,7 +11,7 @@ use heliostat_environment::exact_states;
 use heliostat_environment::held_out::held_out_state;
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::score::{Figure, Sample};
-use heliostat_environment::statistics::Spread;
+use heliostat_environment::statistics::{Estimate, Spread};
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
 use heliostat_room::World;
 use heliostat_scenario::similar;
@@ -220,6 +220,12 @@ pub fn score(
     let figures = common.chain(closed_loop.then_some(Figure::OUTAGE_TIME));
     let of_oracle = entry("oracle_mbps", Figure::SUM_RATE, &oracle);
     Ok(figures.map(|figure| entry(figure.name, figure, &own)).chain([of_oracle]).collect())
+}
+
+/// Half the width of the 95 % interval of the mean of independent values; NaN for a single one.
+#[pyfunction]
+pub fn half_width(values: Vec<f64>) -> f64 {
+    Estimate::of(&values).ci95
 }
 
 /// The samples of an episode from an array of shape (n, 5).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -289,6 +290,31 @@ def test_a_score_of_exact_states_is_that_of_the_command_line() -> None:
         assert getattr(score, name) == pytest.approx(row[figure]["mean"], rel=1e-6), figure
         assert getattr(score, f"{name}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+
+
+def test_the_difference_of_two_scores_is_the_paired_one_of_the_command_line() -> None:
+    program = program_or_skip()
+    env = heliostat.HeliostatEnv()
+    flat = heliostat.evaluate(lambda _: np.zeros(200, np.float32), env, states=10, seeds=2)
+    turned = heliostat.evaluate(lambda _: np.full(200, 0.1, np.float32), env, states=10, seeds=2)
+    command = [lab_of(program), "eval", "--scenario", "specular", "--policies", "fixed-point,flat", "--json"]
+    command += ["--states", "10", "--seeds", "2"]
+    report = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+    # The program has the difference of `flat` to `fixed-point`; its rooms are those of the score.
+    (rates,) = report["each"]["policies"]["flat"]["sum_rate_mbps"]
+    assert flat.each["sum_rate_mbps"] == pytest.approx(rates, rel=1e-9)
+    (others,) = report["each"]["policies"]["fixed-point"]["sum_rate_mbps"]
+    expected = report["policies"]["flat"]["difference_mbps"]
+    fixed = dataclasses.replace(flat, each={**flat.each, "sum_rate_mbps": tuple(others)})
+    assert flat.minus(fixed, "sum_rate_mbps") == pytest.approx((expected["mean"], expected["ci95"]), rel=1e-6)
+    mean, half = turned.minus(flat)
+    assert mean == pytest.approx(turned.ratio_to_oracle - flat.ratio_to_oracle) and half > 0.0
+    assert flat.minus(flat) == (0.0, 0.0)
+    for name in ("states", "outage", "rate"):
+        with pytest.raises(ValueError, match=f"figure = '{name}': expected one of ber, blocked_rate_mbps, "):
+            flat.minus(turned, name)
+    with pytest.raises(ValueError, match="different rooms: expected the same scenario"):
+        flat.minus(heliostat.evaluate(zero, env, states=20), "qos_met")
 
 
 def test_a_score_has_the_conditions_of_its_scenario() -> None:

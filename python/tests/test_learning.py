@@ -365,7 +365,8 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
     assert score.each["states"] == (20, 10, 20, 10)
     for figure in ("sum_rate_mbps", "qos_met", "fairness", "outage", "ber", "oracle_mbps"):
-        weighted = np.average(np.array(score.each[figure], float), weights=score.each["states"])
+        weights = np.array(score.each["states"], float)
+        weighted = np.average(np.array(score.each[figure], float), weights=weights)
         assert weighted == pytest.approx(getattr(score, figure), rel=1e-9), figure
     # The environment is as it was.
     fresh = gymnasium.make("heliostat/Hall-v0")

@@ -233,7 +233,7 @@ def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heli
     lines = ["", "## The exported file beside other policies", "", "```"]
     lines += [f"heliostat-lab eval --scenario {scenario} --closed-loop --policies own.onnx,greedy,fixed-point,ddpg,nearest,flat "
               f"--states {arguments.states} --seeds {arguments.seeds}", "```", ""]
-    lines += ["A figure is a mean with half the width of its 95 % interval.", ""]
+    lines += [f"A figure is a mean with half the width of its 95 % interval, of {found['episodes']} episodes. Commit {found['commit']}.", ""]
     lines += ["| policy | sum rate, Mbit/s | ratio to the oracle | minimum rates met |", "| --- | --- | --- | --- |"]
     policies = sorted(found["policies"].items(), key=lambda item: -item[1]["ratio_to_oracle"]["mean"])
     for name, row in policies:

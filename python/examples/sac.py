@@ -205,10 +205,12 @@ def outcome(
     last, best = scores[-1].ratio_to_oracle, max(score.ratio_to_oracle for score in scores)
     used_s, full_s = row["processor_s"], 60.0 * float(settings["minutes"]) * int(settings["cores"])
     ended = "" if used_s >= full_s else f" It was ended before its {full_s:.0f} s of processor time."
+    difference, half = scores[-1].minus(zero)
+    paired = f" The paired difference is {difference:+.4f} ± {half:.4f}." if half >= 0.0 else ""
     side = "below" if last < zero.ratio_to_oracle else "above" if last > zero.ratio_to_oracle else "equal to"
     return [
         f"The last checkpoint has the ratio {last:.4f} to the oracle. That is {side} the ratio {zero.ratio_to_oracle:.4f} "
-        f"of action 0, which needs no training. The best checkpoint has {best:.4f}.",
+        f"of action 0, which needs no training.{paired} The best checkpoint has {best:.4f}.",
         "",
         f"The training took {row['elapsed_s']:.0f} s for {row['steps']} steps, and {used_s:.0f} s of processor time.{ended} "
         "Other processes used the machine too, so processor time shows the effort.",
@@ -231,7 +233,7 @@ def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heli
     lines = ["", "## The exported file beside other policies", "", "```"]
     lines += [f"heliostat-lab eval --scenario {scenario} --closed-loop --policies own.onnx,greedy,fixed-point,ddpg,nearest,flat "
               f"--states {arguments.states} --seeds {arguments.seeds}", "```", ""]
-    lines += ["A figure is a mean with half the width of its 95 % interval.", ""]
+    lines += [f"A figure is a mean with half the width of its 95 % interval, of {found['episodes']} episodes. Commit {found['commit']}.", ""]
     lines += ["| policy | sum rate, Mbit/s | ratio to the oracle | minimum rates met |", "| --- | --- | --- | --- |"]
     policies = sorted(found["policies"].items(), key=lambda item: -item[1]["ratio_to_oracle"]["mean"])
     for name, row in policies:

@@ -42,6 +42,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(policy::use_onnxruntime, module)?)?;
     module.add_function(wrap_pyfunction!(settings::check_exact, module)?)?;
     module.add_function(wrap_pyfunction!(settings::closed_loop_conditions, module)?)?;
+    module.add_function(wrap_pyfunction!(settings::half_width, module)?)?;
     module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
     module.add_function(wrap_pyfunction!(settings::score, module)?)?;
     module.add_function(wrap_pyfunction!(settings::restored_settings, module)?)?;

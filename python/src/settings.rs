@@ -11,7 +11,7 @@ use heliostat_environment::exact_states;
 use heliostat_environment::held_out::held_out_state;
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::score::{Figure, Sample};
-use heliostat_environment::statistics::Spread;
+use heliostat_environment::statistics::{Estimate, Spread};
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
 use heliostat_room::World;
 use heliostat_scenario::similar;
@@ -187,8 +187,8 @@ pub fn held_out_seed(scenario_seed: u64, index: u64) -> u64 {
 }
 
 /// A figure by its name: mean, half the width of its 95 % interval, and whether this interval reaches beyond what the
-/// figure can be.
-type Figures = Vec<(&'static str, (f64, f64, bool))>;
+/// figure can be; then the mean of each episode, NaN where the figure is missing.
+type Figures = Vec<(&'static str, (f64, f64, bool), Vec<f64>)>;
 
 /// The figures of samples in the held-out rooms of a comparison beside those of the oracle, as `heliostat-lab eval`
 /// computes them, and the sum rate of the oracle as `oracle_mbps`.
@@ -211,15 +211,21 @@ pub fn score(
         let [found, expected] = [lengths(&own), lengths(&oracle)].map(|lengths| lengths.iter().sum::<usize>());
         return Err(refused(format!("{found} samples: expected those of the {expected} states of the comparison")));
     }
-    let spread = |figure: Figure, of: &[Vec<Sample>]| {
+    let entry = |name: &'static str, figure: Figure, of: &[Vec<Sample>]| {
         let Spread { mean, ci95, crosses_bound, .. } = figure.spread(&[of], &oracle);
-        (mean, ci95, crosses_bound)
+        (name, (mean, ci95, crosses_bound), figure.means(of, &oracle))
     };
     let common =
         [Figure::RATIO, Figure::SUM_RATE, Figure::QOS_MET, Figure::JAIN, Figure::BLOCKED_RATE, Figure::BER].into_iter();
     let figures = common.chain(closed_loop.then_some(Figure::OUTAGE_TIME));
-    let of_oracle = ("oracle_mbps", spread(Figure::SUM_RATE, &oracle));
-    Ok(figures.map(|figure| (figure.name, spread(figure, &own))).chain([of_oracle]).collect())
+    let of_oracle = entry("oracle_mbps", Figure::SUM_RATE, &oracle);
+    Ok(figures.map(|figure| entry(figure.name, figure, &own)).chain([of_oracle]).collect())
+}
+
+/// Half the width of the 95 % interval of the mean of independent values; NaN for a single one.
+#[pyfunction]
+pub fn half_width(values: Vec<f64>) -> f64 {
+    Estimate::of(&values).ci95
 }
 
 /// The samples of an episode from an array of shape (n, 5).

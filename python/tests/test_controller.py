@@ -102,7 +102,12 @@ def test_a_function_commands_the_mirrors_of_a_room() -> None:
 )
 def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(answer: Any, part: str) -> None:
     endpoint = free_endpoint()
-    with observer(endpoint, "demo") as room, simulator(endpoint), running(lambda _: answer(), endpoint) as summaries:
+    with (
+        pytest.warns(RuntimeWarning, match="no mirror by the function, control.fallback decided each time: "),
+        observer(endpoint, "demo") as room,
+        simulator(endpoint),
+        running(lambda _: answer(), endpoint) as summaries,
+    ):
 
         def turned() -> bool:
             roll = room.latest.get("telemetry", {}).get("roll_commanded", [])
@@ -357,6 +362,9 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     assert "no process of the room answers" in summary.last_problem
     with pytest.warns(RuntimeWarning, match="no process of the room answers"):
         heliostat.run(lambda _: None, connect=endpoint, seconds=0.01)
+    forced = heliostat.load_scenario("hall", {"blockage.forced_users": 2})
+    with pytest.warns(RuntimeWarning), pytest.warns(UserWarning, match=r"^the cause of a blocked path does not apply: "):
+        heliostat.run(lambda _: None, connect=endpoint, scenario=forced, seconds=0.01)
     with pytest.raises(PeerError, match=r"no endpoint: expected listen=\.\.\. or connect=\.\.\., for example connect='"):
         heliostat.run(lambda _: None)
     with pytest.raises(PeerError, match="expected tls='DIR', or insecure=True"):

@@ -66,13 +66,15 @@ def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     subprocess.run(["bash", "-c", command], check=True, capture_output=True, timeout=1200)
     exec(compile(script, "own-study.md", "exec"), {})
-    assert "commit" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "commit" in printed and "condition: the cause of a blocked path does not apply" in printed
     assert (tmp_path / "study.pdf").read_bytes().startswith(b"%PDF")
     assert "<svg" in (tmp_path / "study.svg").read_text(encoding="utf-8")
     table = (tmp_path / "study.tex").read_text(encoding="utf-8")
     rows = [line for line in table.splitlines() if line.endswith(r"\\") and "policy" not in line]
     assert len(rows) == 4 * 2 * 3 and any(line.startswith("0 & 3 & oracle & ") for line in rows), table
     assert "nan" not in table
+    assert "% condition: the cause of a blocked path does not apply" in table
 
 
 def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -44,7 +45,11 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     assert score.states == score.episodes == 5 and 0.2 < score.ratio_to_oracle < 0.95
     assert score.ratio_to_oracle_ci95 > 0.0 and score.outage is None and 0.0 < score.fairness <= 1.0
     assert 0.0 <= score.ber < 0.5 and score.conditions == ()
-    assert score == heliostat.evaluate(zero, env, states=5)
+    assert score == heliostat.evaluate(zero, env, states=5) and hash(score) is not None
+    ratios = np.array(score.each["ratio_to_oracle"], float)
+    assert score.each["states"] == (1,) * 5 and ratios.mean() == pytest.approx(score.ratio_to_oracle)
+    missing = [value is None for value in score.each["blocked_rate_mbps"]]
+    assert len(missing) == 5 and all(missing) == (score.blocked_rate_mbps is None)
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
     assert np.array_equal(env.step(zero(seen))[0], fresh.step(zero(seen))[0])
@@ -287,6 +292,31 @@ def test_a_score_of_exact_states_is_that_of_the_command_line() -> None:
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
 
 
+def test_the_difference_of_two_scores_is_the_paired_one_of_the_command_line() -> None:
+    program = program_or_skip()
+    env = heliostat.HeliostatEnv()
+    flat = heliostat.evaluate(lambda _: np.zeros(200, np.float32), env, states=10, seeds=2)
+    turned = heliostat.evaluate(lambda _: np.full(200, 0.1, np.float32), env, states=10, seeds=2)
+    command = [lab_of(program), "eval", "--scenario", "specular", "--policies", "fixed-point,flat", "--json"]
+    command += ["--states", "10", "--seeds", "2"]
+    report = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+    # The program has the difference of `flat` to `fixed-point`; its rooms are those of the score.
+    (rates,) = report["each"]["policies"]["flat"]["sum_rate_mbps"]
+    assert flat.each["sum_rate_mbps"] == pytest.approx(rates, rel=1e-9)
+    (others,) = report["each"]["policies"]["fixed-point"]["sum_rate_mbps"]
+    expected = report["policies"]["flat"]["difference_mbps"]
+    fixed = dataclasses.replace(flat, each={**flat.each, "sum_rate_mbps": tuple(others)})
+    assert flat.minus(fixed, "sum_rate_mbps") == pytest.approx((expected["mean"], expected["ci95"]), rel=1e-6)
+    mean, half = turned.minus(flat)
+    assert mean == pytest.approx(turned.ratio_to_oracle - flat.ratio_to_oracle) and half > 0.0
+    assert flat.minus(flat) == (0.0, 0.0)
+    for name in ("states", "outage", "rate"):
+        with pytest.raises(ValueError, match=f"figure = '{name}': expected one of ber, blocked_rate_mbps, "):
+            flat.minus(turned, name)
+    with pytest.raises(ValueError, match="different rooms: expected the same scenario"):
+        flat.minus(heliostat.evaluate(zero, env, states=20), "qos_met")
+
+
 def test_a_score_has_the_conditions_of_its_scenario() -> None:
     overrides = {"control.belief": "constant-velocity"}
     with pytest.warns(UserWarning):
@@ -333,6 +363,11 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     assert {names.get(name, name) for name in score.crossing} - {""} == crossing
     assert score.episodes == 4
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+    assert score.each["states"] == (20, 10, 20, 10)
+    for figure in ("sum_rate_mbps", "qos_met", "fairness", "outage", "ber", "oracle_mbps"):
+        weights = np.array(score.each["states"], float)
+        weighted = np.average(np.array(score.each[figure], float), weights=weights)
+        assert weighted == pytest.approx(getattr(score, figure), rel=1e-9), figure
     # The environment is as it was.
     fresh = gymnasium.make("heliostat/Hall-v0")
     fresh.reset(seed=4)

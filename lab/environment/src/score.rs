@@ -8,7 +8,7 @@ use heliostat_scenario::Scenario;
 
 use crate::error::EnvironmentError;
 use crate::held_out::{best_angles, held_out_world, met};
-use crate::statistics::Spread;
+use crate::statistics::{Spread, mean, present};
 
 /// The evaluation of angles in one state, with the true users and equipment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,6 +113,12 @@ impl Figure {
         run.iter().zip(oracle).map(of_group).collect()
     }
 
+    /// The mean of the figure over the states of each group, beside the oracle on the same states; NaN where the
+    /// figure is missing in all of them.
+    pub fn means(self, run: &[Vec<Sample>], oracle: &[Vec<Sample>]) -> Vec<f64> {
+        self.values(run, oracle).iter().map(|values| mean(&present(values))).collect()
+    }
+
     /// Mean with interval over the runs of a policy, one for each actor, beside the oracle on the same states.
     pub fn spread(self, runs: &[&[Vec<Sample>]], oracle: &[Vec<Sample>]) -> Spread {
         let values: Vec<_> = runs.iter().map(|run| self.values(run, oracle)).collect();
@@ -195,5 +201,27 @@ impl Rates {
             blocked_rate_mbps: 1e-6 * sum / count,
             ber: self.sinr.iter().map(|sinr| ber_ook(*sinr)).sum::<f64>() / users as f64,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_of_a_group_leaves_out_states_without_the_figure() {
+        let sample = |sum_rate_mbps, blocked_rate_mbps| Sample {
+            sum_rate_mbps,
+            met: 1.0,
+            jain: 1.0,
+            blocked_rate_mbps,
+            ber: 0.0,
+        };
+        let own = [vec![sample(4.0, f64::NAN), sample(8.0, 2.0)], vec![sample(1.0, f64::NAN)]];
+        let oracle = [vec![sample(8.0, 1.0), sample(0.0, 1.0)], vec![sample(2.0, 1.0)]];
+        assert_eq!(Figure::SUM_RATE.means(&own, &oracle), [6.0, 1.0]);
+        assert_eq!(Figure::RATIO.means(&own, &oracle), [0.5, 0.5]);
+        let blocked = Figure::BLOCKED_RATE.means(&own, &oracle);
+        assert!(blocked[0] == 2.0 && blocked[1].is_nan(), "{blocked:?}");
     }
 }

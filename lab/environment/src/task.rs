@@ -182,6 +182,14 @@ impl Task {
         let settings = settings.into();
         settings.check()?;
         let scenario = &settings.scenario;
+        let is_static = matches!(settings.dynamics, Dynamics::Static { .. });
+        if is_static && scenario.users.count > USERS_CAPACITY {
+            return Err(EnvironmentError::Setting {
+                name: "users.count",
+                value: scenario.users.count.to_string(),
+                expected: "at most 10 in a static room; choose dynamics=\"closed-loop\"",
+            });
+        }
         let slots = USERS_CAPACITY.max(match settings.dynamics {
             Dynamics::Static { .. } => 0,
             Dynamics::ClosedLoop => scenario.users.count,

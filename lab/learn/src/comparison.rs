@@ -175,6 +175,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     } else {
         exact_states::conditions(scenario, "a static comparison", "choose --closed-loop")?
     };
+    found.extend(without_deadline(scenario).filter(|_| is_closed));
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated
             .conditions(scenario)
@@ -204,6 +205,16 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         beliefs,
         tracked,
         each,
+    })
+}
+
+/// The condition of a scenario with a deadline, by which a decision in zero simulated time is never late.
+fn without_deadline(scenario: &Scenario) -> Option<Condition> {
+    let deadline_ms = scenario.control.deadline_ms;
+    (deadline_ms > 0.0).then(|| Condition {
+        method: "the deadline of decisions".into(),
+        because: format!("control.deadline_ms = {deadline_ms}"),
+        consequence: "the comparison lets each policy decide in no time, so no decision is late; measure decision times with `heliostat bench decide`".into(),
     })
 }
 

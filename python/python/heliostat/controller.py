@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import finite, function_of_observation, name_of, printable, real
-from ._core import Commander
+from ._checks import finite, function_of_observation, name_of, outer_level, printable, real
+from ._core import Commander, closed_loop_conditions
 from .names import ActionForm
 from .scenario import Scenario, load_scenario
 
@@ -113,8 +113,10 @@ def run(
     no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
     return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
 
-    Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns with `RuntimeWarning` where no mirror has
-    turned: no tracker or no array was in the room, or every command was withheld, as by a run that only stood by.
+    Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns of the conditions of the scenario, as
+    `heliostat-lab eval --closed-loop` states them. Warns with `RuntimeWarning` where no mirror has turned: no tracker or no
+    array was in the room, or every command was withheld, as by a run that only stood by. The same where the fallback took
+    every decision.
     """
     from .peer import SHORTEST_S, Settings, endpoints, stop_on_signals
 
@@ -125,10 +127,17 @@ def run(
     ends = endpoints("listen", listen), endpoints("connect", connect)
     settings = Settings(room, *ends, client, None if tls is None else Path(tls), insecure)
     with stop_on_signals(stop or threading.Event()) as ended, _keywords_for_flags():
-        one = _Run(act, load_scenario(scenario), form, settings, ended)
+        assumed = load_scenario(scenario)
+        for condition in closed_loop_conditions(assumed):
+            warnings.warn(condition, stacklevel=outer_level())
+        one = _Run(act, assumed, form, settings, ended)
         summary = one.run(seconds)
     if reason := one.unmoved():
         warnings.warn(f"heliostat.run has turned no mirror: {printable(reason)}", RuntimeWarning, stacklevel=2)
+    elif summary.fallbacks == summary.decisions > 0:
+        reason = printable(summary.last_problem)
+        text = f"heliostat.run has turned no mirror by the function, control.fallback decided each time: {reason}"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
     return summary
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from numpy.typing import ArrayLike
 
 from ._checks import function_of_observation, integer, states_of
-from ._core import INSTANTS, score
+from ._core import INSTANTS, half_width, score
 from .envs import HeliostatEnv
 
 _EPISODES_FEW = 10
@@ -62,6 +62,30 @@ class Score:
     """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
     conditions: tuple[str, ...]
     """The conditions of the scenario, as `heliostat-lab eval` states them; those of policies excepted."""
+    each: Mapping[str, tuple[float | None, ...]] = field(repr=False, hash=False)
+    """By the name of a figure its mean in each episode, `None` where it is missing there, and as `states` their numbers
+    of states. Episode i of two scores with the same scenario, dynamics, states and seeds has the same room."""
+
+    def minus(self, other: Score, figure: str = "ratio_to_oracle") -> tuple[float, float]:
+        """The mean difference of a figure to another score, and half the width of its 95 % interval; NaN for one episode.
+
+        The difference is paired by episode, so it does not contain how much the rooms differ. Episodes count by their
+        states, and those in which a score misses the figure are left out.
+
+        Raises `ValueError` for a figure that a score does not have, and for scores of different rooms.
+        """
+        for one in (self, other):
+            if figure == "states" or figure not in one.each:
+                names = ", ".join(sorted(set(one.each) - {"states"}))
+                raise ValueError(f"figure = {figure!r}: expected one of {names}")
+        if any(self.each[name] != other.each[name] for name in ("states", "oracle_mbps")):
+            raise ValueError("the scores have different rooms: expected the same scenario, dynamics, states and seeds")
+        triples = zip(self.each[figure], other.each[figure], self.each["states"], strict=True)
+        pairs = [(own - of, states or 0.0) for own, of, states in triples if own is not None and of is not None]
+        if not pairs:
+            return math.nan, math.nan
+        mean = sum(value * states for value, states in pairs) / sum(states for _, states in pairs)
+        return mean, half_width([value for value, _ in pairs])
 
 
 def evaluate(
@@ -99,9 +123,11 @@ def evaluate(
         found = score(inner.scenario, not inner.is_static, states, seeds, groups)
     figures: dict[str, Any] = {"outage": None, "outage_ci95": None}
     crossing: list[str] = []
-    for name, (mean, ci95, crosses) in found:
+    each: dict[str, tuple[float | None, ...]] = {"states": tuple(len(group) for group in groups)}
+    for name, (mean, ci95, crosses), of_episodes in found:
         own = _NAMES.get(name, name)
         figures |= {own: mean, f"{own}_ci95": ci95}
+        each[own] = tuple(None if math.isnan(value) else value for value in of_episodes)
         if crosses:
             crossing.append(own)
     for name in ("blocked_rate_mbps", "blocked_rate_mbps_ci95"):
@@ -118,6 +144,7 @@ def evaluate(
         episodes=len(groups),
         crossing=tuple(crossing),
         conditions=inner.conditions,
+        each=each,
     )
 
 

@@ -1,6 +1,7 @@
 //! Where a method of the belief does not apply to a room, and other conditions that change a result
 //! without an error.
 
+mod ages;
 mod range;
 mod unused;
 mod upright;
@@ -9,9 +10,7 @@ mod walks;
 use std::fmt;
 
 use heliostat_channel::{ChannelModel, Vec3, los};
-use heliostat_scenario::{
-    self as scenario, AssumedTilt, DegradedAction, MismatchLevel, MobilityModel, Scenario, UserOrientation,
-};
+use heliostat_scenario::{self as scenario, AssumedTilt, MismatchLevel, MobilityModel, Scenario, UserOrientation};
 use serde::Serialize;
 
 pub use unused::unused_keys;
@@ -55,36 +54,33 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("streams.positions.latency_ms = {positions_ms}, above control.report_age_max_ms = {age_max_ms}"),
         "every position report is too old and no command is sent; raise control.report_age_max_ms",
     );
-    // The age of a reading just before the next one arrives.
-    let gains_ms = streams.channel.latency_ms + 1e3 / streams.channel.rate_hz;
+    let because = ages::gap_between_readings(scenario);
     add(
-        gains_ms <= age_max_ms,
+        because.is_none(),
         "the use of measured gains in each decision",
-        format!(
-            "streams.channel: readings become {gains_ms:.0} ms old, above control.report_age_max_ms = {age_max_ms}"
-        ),
+        because.unwrap_or_default(),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
     );
-    let because = refused_orientations(scenario);
+    let because = ages::refused_orientations(scenario);
     add(
         because.is_none(),
         "the use of reported orientations",
         because.unwrap_or_default(),
         "every report is too old and refused, so receivers are held as if none were reported; lower the latency, or raise control.report_age_max_ms",
     );
-    let because = gap_between_orientations(scenario);
+    let because = ages::gap_between_orientations(scenario);
     add(
         because.is_none(),
         "the use of reported orientations in each decision",
         because.unwrap_or_default(),
         "decisions between take receivers as if no orientation were reported; set control.belief to \"filter\", raise control.report_age_max_ms, or the rate",
     );
-    let because = gap_between_commands(scenario);
+    let because = ages::gap_between_commands(scenario);
     add(
         because.is_none(),
         "a valid command until the next one",
         because.unwrap_or_default(),
-        "the array holds the angles of an expired command for the driver's park_after_ms, then parks until the next report; raise control.validity_ms above the time between two reports",
+        "the array holds the angles of an expired command for the driver's park_after_ms, then parks until the next report; raise control.validity_ms above the time between two reports that arrive",
     );
     let (mismatch, users) = (&scenario.mismatch, &scenario.users);
     add(
@@ -115,7 +111,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("blockage.forced_users = {}", scenario.blockage.forced_users),
         "no body or obstacle blocks a forced path, so the gains show headings and obstacles that do not exist, above all with several LEDs; block paths by blockage.bodies and blockage.obstacles_per_m2",
     );
-    let is_reported = accepted_orientations(scenario).is_some();
+    let is_reported = ages::accepted_orientations(scenario).is_some();
     add(
         scenario.blockage.bodies || is_reported,
         "the heading of a standing user by measured gains",
@@ -228,51 +224,6 @@ pub fn small_range(scenario: &Scenario, model: &ChannelModel) -> Option<Conditio
     Some(Condition { method: "light by mirrors on all of the floor".into(), because, consequence })
 }
 
-/// The stream of orientation reports; `None` where there is none, or where the controller refuses each report because
-/// it is too old at its arrival.
-fn accepted_orientations(scenario: &Scenario) -> Option<&scenario::OrientationStream> {
-    let is_accepted = |latency_ms: f64| latency_ms <= scenario.control.report_age_max_ms;
-    scenario.streams.orientation.as_ref().filter(|stream| is_accepted(stream.latency_ms))
-}
-
-/// The keys by which each orientation report is too old at its arrival.
-fn refused_orientations(scenario: &Scenario) -> Option<String> {
-    let stream = scenario.streams.orientation.as_ref()?;
-    accepted_orientations(scenario).is_none().then(|| {
-        format!(
-            "streams.orientation.latency_ms = {}, above control.report_age_max_ms = {}",
-            stream.latency_ms, scenario.control.report_age_max_ms
-        )
-    })
-}
-
-/// The keys by which an accepted orientation report is too old before the next one arrives. The filter keeps what it
-/// has shown.
-fn gap_between_orientations(scenario: &Scenario) -> Option<String> {
-    let stream = accepted_orientations(scenario).filter(|_| scenario.control.belief != scenario::Belief::Filter)?;
-    let (oldest_ms, age_max_ms) = (stream.latency_ms + 1e3 / stream.rate_hz, scenario.control.report_age_max_ms);
-    (oldest_ms > age_max_ms).then(|| {
-        format!(
-            "streams.orientation: reports become {oldest_ms:.0} ms old, above control.report_age_max_ms = {age_max_ms}"
-        )
-    })
-}
-
-/// The keys by which a command expires before the next position report causes another one.
-fn gap_between_commands(scenario: &Scenario) -> Option<String> {
-    let (control, rate_hz) = (&scenario.control, scenario.streams.positions.rate_hz);
-    let interval_ms = 1e3 / rate_hz;
-    // In silence a controller can repeat the last command.
-    let is_repeated = control.when_silent == DegradedAction::LastGood;
-    let next_ms = if is_repeated { interval_ms.min(control.report_age_max_ms) } else { interval_ms };
-    (control.validity_ms < next_ms).then(|| {
-        format!(
-            "control.validity_ms = {}, and streams.positions.rate_hz = {rate_hz} causes a command each {interval_ms:.1} ms",
-            control.validity_ms
-        )
-    })
-}
-
 /// A mean tilt of held receivers that is not the assumed one.
 fn differing_mean(key: &str, held: &UserOrientation, assumed: &AssumedTilt) -> Option<String> {
     let angles = [
@@ -340,6 +291,8 @@ mod tests {
             ("users.mobility=gauss-markov", "gauss-markov"),
             ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
             ("streams.channel.rate_hz=0.5", "readings become 2"),
+            ("streams.channel.loss=0.9", "lets 66 % of the readings become older"),
+            ("streams.positions.loss=0.5", "lets 6 % of the commands expire"),
             ("users.orientation.walking_polar_mean_deg=0", "walking_polar_mean_deg = 0, and the belief assumes 29.67"),
             (
                 "users.orientation.sitting_azimuth_std_deg=60",
@@ -397,9 +350,6 @@ mod tests {
         assert!(long.is_empty(), "{long:?}");
         let without_filter = slow(&["control.belief=none"]);
         assert_eq!(without_filter.len(), 2, "{without_filter:?}");
-        for name in scenario::BUILTIN_NAMES {
-            assert_eq!(gap_between_commands(&Scenario::builtin(name).unwrap()), None, "{name}");
-        }
     }
 
     #[test]

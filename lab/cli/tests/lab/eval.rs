@@ -409,12 +409,14 @@ fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
     let (html, csv) = (folder.path().join("report.html"), folder.path().join("figures.csv"));
     let flags = ["--closed-loop", "--scenario", "hall", "--policies", "pso,flat", "--episodes", "1", "--seeds", "2"];
     let room = ["--set", "mismatch.level=typical", "--set", "control.search_time_us=50", "--set", "users.count=2"];
+    let deadline = ["--set", "control.deadline_ms=0.5"];
     let files = ["--html", html.to_str().expect("a plain path"), "--csv", csv.to_str().expect("a plain path")];
-    let flags = [&flags[..], &room, &files].concat();
+    let flags = [&flags[..], &room, &deadline, &files].concat();
     let compared = report(&flags);
     let found: Vec<&str> =
         compared["conditions"].as_array().expect("a list").iter().filter_map(|one| one["because"].as_str()).collect();
-    assert_eq!(found, ["mismatch.level = \"typical\"", "control.search_time_us = 50"]);
+    let expected = ["mismatch.level = \"typical\"", "control.deadline_ms = 0.5", "control.search_time_us = 50"];
+    assert_eq!(found, expected);
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
     let [page, text] = [&html, &csv].map(|file| std::fs::read_to_string(file).expect("readable"));
     for part in ["the channel model of belief and policies does not apply", "the promise of equal runs of pso"] {

@@ -30,7 +30,7 @@ const WALK_REPORTS: usize = 200;
 /// are held, or finds it by measured gains.
 pub(super) fn counted_upright(scenario: &Scenario, model: &ChannelModel) -> Option<(String, &'static str)> {
     let control = &scenario.control;
-    let is_reported = super::accepted_orientations(scenario).is_some();
+    let is_reported = super::ages::accepted_orientations(scenario).is_some();
     if !scenario.has_tilted_receivers() || is_reported || control.tilt.is_some() {
         return None;
     }

@@ -90,7 +90,7 @@ pub(super) fn late_heading(scenario: &Scenario) -> Option<String> {
     };
     let turn_deg_per_s = models(users).map(of_model).fold(0.0, f64::max);
     let lag_s = if users.trace.is_none() { users.heading_lag_s } else { 0.0 };
-    let reported_ms = super::accepted_orientations(scenario).map_or(0.0, |stream| stream.latency_ms);
+    let reported_ms = super::ages::accepted_orientations(scenario).map_or(0.0, |stream| stream.latency_ms);
     let later_s = 1e-3 * (reported_ms - streams.positions.latency_ms);
     let spread_deg = heading::walk_spread_rad().to_degrees();
     let lags = [

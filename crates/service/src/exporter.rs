@@ -103,7 +103,7 @@ impl Exporter {
     pub fn open(address: SocketAddr) -> Result<Self, MetricsError> {
         let failed = |problem| MetricsError::Listen { address, problem };
         let listener = TcpListener::bind(address).map_err(failed)?;
-        let newest = Arc::new(Mutex::new(None));
+        let newest = Arc::new(Mutex::new(None::<Page>));
         let router = Router::new().route("/metrics", get(metrics)).fallback(elsewhere).with_state(Arc::clone(&newest));
         let server = http::serve("metrics", listener, router, Limits::default(), Stop::default()).map_err(failed)?;
         tracing::info!("metrics at http://{}/metrics", server.address());

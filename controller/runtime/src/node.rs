@@ -59,7 +59,8 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
             let mut page = metrics::page(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>());
             if !records.is_empty() {
                 let is_recorded = records.iter().all(|record| record.load(Ordering::Relaxed));
-                page.stop_recorded(&[("room", config.bus.room.name())], is_recorded);
+                // A process with arrays has one room, which the page adds.
+                page.stop_recorded(&[], is_recorded);
             }
             exporter.publish(page);
         }

@@ -42,8 +42,12 @@ pub enum Unfit {
         gain: f32,
     },
     /// An offset that is no error of a mounting.
+    /// Files have degrees, messages rad.
     #[error(
-        "invalid {axis} offset {offset_rad} rad of mirror {mirror}: expected at most {OFFSET_MAX_RAD} rad either way"
+        "invalid {axis} offset of mirror {mirror}, {:.2} degrees ({offset_rad} rad): expected at most {:.2} degrees \
+         ({OFFSET_MAX_RAD} rad) either way",
+        .offset_rad.to_degrees(),
+        OFFSET_MAX_RAD.to_degrees()
     )]
     Offset {
         /// Roll or yaw.
@@ -56,7 +60,8 @@ pub enum Unfit {
     /// A corrected angle would be beyond the range of the hardware.
     #[error(
         "the corrected {axis} of mirror {mirror} is {angle_deg:.2} degrees: \
-         expected {min_deg:.2} to {max_deg:.2}, the range of its hardware"
+         expected {min_deg:.2} to {max_deg:.2}, the range of its hardware; announce a smaller range for commands \
+         (calibration_reserve_deg, or smaller limits and travel_rad in Python)"
     )]
     BeyondHardware {
         /// Roll or yaw.
@@ -171,5 +176,21 @@ fn check_correction((axis, mirror): (&'static str, usize), gain: f32, offset_rad
 fn correct(angles: &mut [f64], gains: &[f32], offsets: &[f32], with: impl Fn(f64, f64, f64) -> f64) {
     for ((angle, gain), offset) in angles.iter_mut().zip(gains).zip(offsets) {
         *angle = with(*angle, f64::from(*gain), f64::from(*offset));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_has_the_units_of_the_file_and_the_message_and_says_what_to_do() {
+        let offset = check_correction(("roll", 3), 1.0, 0.25).expect_err("beyond the bound").to_string();
+        let expected =
+            "invalid roll offset of mirror 3, 14.32 degrees (0.25 rad): expected at most 11.46 degrees (0.2 rad)";
+        assert!(offset.starts_with(expected), "{offset}");
+        let beyond = Unfit::BeyondHardware { axis: "yaw", mirror: 0, angle_deg: 30.5, min_deg: -30.0, max_deg: 30.0 }
+            .to_string();
+        assert!(beyond.contains("the range of its hardware; announce a smaller range for commands"), "{beyond}");
     }
 }

@@ -122,7 +122,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         writer.flush_if_due();
         if let Some(exporter) = exporter.as_ref().filter(|_| exported.is_none_or(|at| at.elapsed() >= EXPORT_EVERY)) {
             exported = Some(Instant::now());
-            exporter.publish(metrics(room.name(), writer.messages(), queue.dropped()));
+            exporter.publish(metrics(room.name(), writer.account.messages(), queue.dropped()));
         }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
             tracing::warn!("so far {missing}");

@@ -196,6 +196,11 @@ pub struct FaultWatch {
 }
 
 impl FaultWatch {
+    /// Whether an array is stopped or has lost its device: it gets no commands, or follows none.
+    pub fn has_down(&self) -> bool {
+        self.last.values().any(|(_, is_down)| *is_down)
+    }
+
     /// The fault that begins with this telemetry, in words.
     pub fn update(&mut self, array: usize, telemetry: &MirrorTelemetry) -> Option<String> {
         let is_down = matches!(telemetry.state, ArrayState::Stopped | ArrayState::Fault);
@@ -333,7 +338,9 @@ mod tests {
         assert_eq!(watch.update(0, &telemetry(ArrayState::Following, 0)), None);
         assert!(watch.update(0, &telemetry(ArrayState::Fault, fault::LINK)).is_some());
         assert_eq!(watch.update(0, &telemetry(ArrayState::Fault, fault::LINK)), None);
+        assert!(watch.has_down());
         assert_eq!(watch.update(0, &telemetry(ArrayState::Following, 0)), None);
+        assert!(!watch.has_down());
         assert!(watch.update(0, &telemetry(ArrayState::Stopped, fault::STOP)).is_some());
         assert!(watch.update(1, &telemetry(ArrayState::Following, fault::MIRROR)).is_some());
     }

@@ -96,7 +96,8 @@ impl MetricsArgs {
 /// A server of the newest page; it ends when dropped.
 #[derive(Debug)]
 pub struct Exporter {
-    newest: Arc<Mutex<Page>>,
+    /// `None` before the first one.
+    newest: Arc<Mutex<Option<Page>>>,
     /// Each page has them.
     certificate_ends: CertificateEnds,
     server: http::Server,
@@ -110,7 +111,7 @@ impl Exporter {
     pub fn open(address: SocketAddr) -> Result<Self, MetricsError> {
         let failed = |problem| MetricsError::Listen { address, problem };
         let listener = TcpListener::bind(address).map_err(failed)?;
-        let newest = Arc::new(Mutex::new(Page::default()));
+        let newest = Arc::new(Mutex::new(None::<Page>));
         let router = Router::new().route("/metrics", get(metrics)).fallback(elsewhere).with_state(Arc::clone(&newest));
         let server = http::serve("metrics", listener, router, Limits::default(), Stop::default()).map_err(failed)?;
         tracing::info!("metrics at http://{}/metrics", server.address());
@@ -125,13 +126,17 @@ impl Exporter {
     /// Replaces the page.
     pub fn publish(&self, mut page: Page) {
         self.certificate_ends.add_to(&mut page);
-        *lock(&self.newest) = page;
+        *lock(&self.newest) = Some(page);
     }
 }
 
-async fn metrics(State(newest): State<Arc<Mutex<Page>>>) -> impl IntoResponse {
+/// The newest page. A process that ends before its first one, as where its router does not answer, is not up.
+async fn metrics(State(newest): State<Arc<Mutex<Option<Page>>>>) -> impl IntoResponse {
     let page = lock(&newest).clone();
-    ([(CONTENT_TYPE, OPEN_METRICS)], page.text())
+    match page {
+        Some(page) => ([(CONTENT_TYPE, OPEN_METRICS)], page.text()).into_response(),
+        None => (StatusCode::SERVICE_UNAVAILABLE, "this process has not joined its room yet\n").into_response(),
+    }
 }
 
 async fn elsewhere() -> impl IntoResponse {
@@ -166,6 +171,7 @@ mod tests {
     fn the_newest_page_is_served_and_nothing_else() {
         let exporter = Exporter::open(([127, 0, 0, 1], 0).into()).expect("a free port");
         let address = exporter.address();
+        assert!(get(address, "/metrics").starts_with("HTTP/1.1 503"), "Prometheus counts it as down");
         for count in [1, 2] {
             let mut page = Page::new(&[("room", "a")]);
             page.counter("heliostat_ticks", "Ticks", &[], count);

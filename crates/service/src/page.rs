@@ -82,6 +82,11 @@ impl Page {
         Self { families: Vec::new(), common: owned(common) }
     }
 
+    /// From now on samples get these common labels.
+    pub fn set_common(&mut self, common: &[(&str, &str)]) {
+        self.common = owned(common);
+    }
+
     /// Adds a count since the start.
     pub fn counter(&mut self, name: &'static str, help: &'static str, labels: &[(&str, &str)], value: u64) {
         self.add(name, help, labels, Value::Counter(value));

@@ -210,7 +210,7 @@ impl fmt::Display for RoomStatus {
             (
                 "array",
                 if self.is_array_seen() {
-                    format!("{}, {} mirrors, {} unusable", array.state, array.mirrors, array.unusable)
+                    format!("{}, {} mirrors, {} unusable", self.array_state(), array.mirrors, array.unusable)
                 } else {
                     array.state.clone()
                 },

@@ -9,8 +9,12 @@ use super::summary::RoomReport;
 /// The page of all rooms.
 pub fn page(rooms: &[RoomReport<'_>]) -> Page {
     let mut page = Page::default();
-    page.build_info("controller", env!("CARGO_PKG_VERSION"));
     rooms.iter().for_each(|room| add_room(&mut page, room));
+    // What follows is of the process, such as the end of its certificate. Keys are for one room.
+    if let [only] = rooms {
+        page.set_common(&[("room", only.room.name())]);
+    }
+    page.build_info("controller", env!("CARGO_PKG_VERSION"));
     page
 }
 
@@ -215,6 +219,7 @@ mod tests {
             assert!(text.contains(&line), "{line}{text}");
         }
         assert!(text.contains("heliostat_stops_held{room=\"demo\"} 1"), "{text}");
+        assert!(text.contains("heliostat_build_info{room=\"demo\",process=\"controller\""), "alerts name the room");
         assert!(text.contains("heliostat_trackers{room=\"demo\"} 2"), "{text}");
     }
 }

@@ -75,7 +75,7 @@ pub(super) struct RoomWriter<S: Storage> {
     scene: Scene,
     series: Series,
     /// Of all files.
-    account: Account,
+    pub(super) account: Account,
     /// Of the present file.
     file_account: Account,
     header: Header,
@@ -276,7 +276,9 @@ impl<S: Storage> RoomWriter<S> {
     /// The stream that a replay needs and that was not received.
     fn missing_stream(&self) -> Option<&'static str> {
         let received = |key: String| self.account.streams.contains_key(&key);
-        if !received(self.room.command()) {
+        if !received(self.room.command()) && self.fault_watch.has_down() {
+            Some("no command was received: an array is stopped or has lost its device, and a replay needs commands")
+        } else if !received(self.room.command()) {
             Some(
                 "no command was received: peers exchange messages over direct links only; connect to the controller as well, or let it connect here (--listen)",
             )
@@ -287,11 +289,6 @@ impl<S: Storage> RoomWriter<S> {
         } else {
             None
         }
-    }
-
-    /// Messages that were recorded, in all files of a ring.
-    pub(super) fn messages(&self) -> u64 {
-        self.account.messages()
     }
 
     /// Length of the present file in bytes.
@@ -363,7 +360,7 @@ mod tests {
 
     use foxglove::messages::SceneUpdate;
     use heliostat_bus::BusConfig;
-    use heliostat_proto::{RoomGeometry, Stamp, encode};
+    use heliostat_proto::{ArrayState, MirrorTelemetry, RoomGeometry, Stamp, encode};
     use heliostat_scenario::Scenario;
     use heliostat_service::MetricsArgs;
     use heliostat_service::log_limit::{EVENTS_MAX, FLOOD_END};
@@ -402,6 +399,11 @@ mod tests {
         assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
         assert!(after(&[room.command()])[1].starts_with("no position report was received"));
         assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+        let (mut held, mut payload) = (writer(&room, scenario.clone()), Vec::new());
+        let telemetry = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
+        encode(&telemetry, &mut payload).expect("encodable");
+        held.take(Item::Payload { key: room.array(0).telemetry(), arrived_ns: 1, payload });
+        assert!(held.missing_once(MISSING_AFTER).is_some_and(|reason| reason.contains("is stopped")), "no connection");
     }
 
     #[test]

@@ -29,6 +29,13 @@ impl RoomStatus {
         state.into_iter().chain(faults)
     }
 
+    /// The state of the array. A latched stop is not yet a stopped device.
+    pub(super) fn array_state(&self) -> String {
+        let array = &self.figures.array;
+        let is_executed = array.faults.iter().all(|fault| !fault::names(fault::STOP).contains(fault));
+        if is_executed { array.state.clone() } else { format!("{} (a device has not executed the stop)", array.state) }
+    }
+
     /// The stops, unless each is a problem with a line of its own. Only the reports of an array show that no stop holds
     /// it.
     pub(super) fn stop_line(&self) -> String {
@@ -78,6 +85,19 @@ mod tests {
         assert_eq!(found(&[stop], vec!["stop"]), [stop]);
         assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
         assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
+    fn an_array_whose_device_has_not_executed_its_stop_is_not_shown_as_stopped() {
+        let line = |faults| {
+            let array = ArrayFigures { state: "stopped".into(), arrays: 1, faults, ..ArrayFigures::default() };
+            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
+            let text = status.to_string();
+            text.lines().find(|line| line.starts_with("array")).unwrap_or_default().to_owned()
+        };
+        assert_eq!(line(vec!["mirror"]), "array        stopped, 0 mirrors, 0 unusable");
+        let open = "array        stopped (a device has not executed the stop), 0 mirrors, 0 unusable";
+        assert_eq!(line(vec!["link", "stop"]), open);
     }
 
     #[test]

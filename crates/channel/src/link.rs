@@ -20,12 +20,16 @@
 //! assert!(budget.rate_bps(sinr, 5) > 20e6 && ber_ook(sinr) < 1e-15);
 //! ```
 
-use crate::domain::{not_negative, positive};
-use crate::error::ChannelError;
 use std::f64::consts::{E, FRAC_1_SQRT_2, PI};
 
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{not_negative, positive};
+use crate::error::ChannelError;
+
 /// The dependence of eq. (6) on the transmitted power.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum PowerLaw {
     /// R0^2 P H^2: as printed.
     Linear,

@@ -6,6 +6,7 @@
 use std::ops::RangeInclusive;
 
 use heliostat_channel::Body;
+pub use heliostat_channel::{Combining, PowerLaw, Wall};
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
@@ -59,16 +60,6 @@ impl ChannelMode {
     }
 }
 
-/// The dependence of equation (6) on the transmitted power.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PowerLaw {
-    /// P, as printed.
-    Linear,
-    /// P squared, by the squared photocurrent.
-    Squared,
-}
-
 /// The channel mode and the interpretation of its equations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -118,23 +109,6 @@ impl Default for Led {
     }
 }
 
-/// The wall that carries the mirrors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Wall {
-    /// The wall at the largest y.
-    #[serde(rename = "+y")]
-    PlusY,
-    /// The wall at the largest x.
-    #[serde(rename = "+x")]
-    PlusX,
-    /// The wall at the smallest y.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// The wall at the smallest x.
-    #[serde(rename = "-x")]
-    MinusX,
-}
-
 /// The mirror array.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -170,18 +144,6 @@ impl Default for Mirrors {
             reflectivity: 0.95,
         }
     }
-}
-
-/// How the branches of a receiver are combined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Combining {
-    /// The branch with the highest SINR.
-    Best,
-    /// The photocurrents are added, and so are the noise variances.
-    EqualGain,
-    /// The SINRs are added.
-    MaximalRatio,
 }
 
 /// One detector of an angle-diversity receiver.

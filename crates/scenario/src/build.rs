@@ -1,7 +1,7 @@
 //! Conversion of a scenario to the types and units of `heliostat-channel`.
 
 use heliostat_channel as optics;
-use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, NoiseBudget, Vec3};
+use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, Vec3};
 
 use crate::scenario::Scenario;
 use crate::tables::{Branch, ChannelMode, Mirrors, ReceiverPreset, Wall};
@@ -87,12 +87,7 @@ impl Scenario {
             power_w: self.led.power_w,
             power_law: self.channel.power_law,
             responsivity_a_per_w: self.receiver.responsivity_a_per_w,
-            noise: NoiseBudget {
-                background_shot_a2_per_hz: self.noise.background_shot_a2_per_hz,
-                thermal_a2_per_hz: self.noise.thermal_a2_per_hz,
-                preamplifier_a2_per_hz: self.noise.preamplifier_a2_per_hz,
-                variance_a2: self.noise.variance_a2,
-            },
+            noise: self.noise.clone(),
             bandwidth_hz: self.link.bandwidth_mhz * 1e6,
         }
     }

@@ -6,7 +6,7 @@
 use std::ops::RangeInclusive;
 
 use heliostat_channel::Body;
-pub use heliostat_channel::{Combining, PowerLaw, Wall};
+pub use heliostat_channel::{Combining, NoiseBudget, PowerLaw, Wall};
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
@@ -207,32 +207,6 @@ impl Default for Receiver {
             preset: ReceiverPreset::Single,
             branches: Vec::new(),
             combining: Combining::Best,
-        }
-    }
-}
-
-/// Noise of one detector: the terms as spectral densities.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Noise {
-    /// Shot noise of the background light in A2/Hz.
-    pub background_shot_a2_per_hz: f64,
-    /// Thermal noise in A2/Hz.
-    pub thermal_a2_per_hz: f64,
-    /// Preamplifier noise in A2/Hz.
-    pub preamplifier_a2_per_hz: f64,
-    /// Noise variance in A2; replaces the sum of the terms.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub variance_a2: Option<f64>,
-}
-
-impl Default for Noise {
-    fn default() -> Self {
-        Self {
-            background_shot_a2_per_hz: 1.85e-22,
-            thermal_a2_per_hz: 3e-24,
-            preamplifier_a2_per_hz: 2e-23,
-            variance_a2: None,
         }
     }
 }

@@ -24,8 +24,6 @@ pub struct Recording {
     messages: Vec<Arrived>,
     #[pyo3(get)]
     room: String,
-    #[pyo3(get)]
-    scenario_name: String,
     /// The effective scenario as TOML.
     #[pyo3(get)]
     scenario: String,
@@ -91,7 +89,6 @@ impl Recording {
         Ok(Self {
             messages,
             room: header.room,
-            scenario_name: header.scenario_name,
             scenario: header.scenario,
             software: header.software,
             account,

@@ -339,6 +339,16 @@ impl Controller {
         Some(self.execute((self.control.when_silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
+    /// Repeats a recorded decision; `None` for one about an absence that is not due.
+    pub fn poll_recorded(&mut self, decision: InputKind, now: Nanos) -> Option<Decision<'_>> {
+        match decision {
+            InputKind::LateDecision => Some(self.poll_command(now, Timing::Late, &mut |_| {})),
+            InputKind::StaleDecision => Some(self.poll_stale_command(now)),
+            InputKind::SilenceDecision => self.poll_timeout_command(now),
+            _ => Some(self.poll_command(now, Timing::InTime, &mut |_| {})),
+        }
+    }
+
     /// Start-up warm-up: policy and fallback decide for a synthetic room, once for each item of
     /// `runs`. Buffers then have their final sizes, and the caches are warm. Only the state of
     /// stateful policies changes.

@@ -7,12 +7,7 @@
 //!     power_w: 2.0,
 //!     power_law: PowerLaw::Linear,
 //!     responsivity_a_per_w: 0.4,
-//!     noise: NoiseBudget {
-//!         background_shot_a2_per_hz: 0.0,
-//!         thermal_a2_per_hz: 0.0,
-//!         preamplifier_a2_per_hz: 0.0,
-//!         variance_a2: Some(4e-15),
-//!     },
+//!     noise: NoiseBudget { variance_a2: Some(4e-15), ..NoiseBudget::default() },
 //!     bandwidth_hz: 20e6,
 //! };
 //! let sinr = budget.sinr(1e-6);
@@ -20,12 +15,16 @@
 //! assert!(budget.rate_bps(sinr, 5) > 20e6 && ber_ook(sinr) < 1e-15);
 //! ```
 
-use crate::domain::{not_negative, positive};
-use crate::error::ChannelError;
 use std::f64::consts::{E, FRAC_1_SQRT_2, PI};
 
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{not_negative, positive};
+use crate::error::ChannelError;
+
 /// The dependence of eq. (6) on the transmitted power.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum PowerLaw {
     /// R0^2 P H^2: as printed.
     Linear,
@@ -36,7 +35,8 @@ pub enum PowerLaw {
 /// Noise of one detector: the terms as spectral densities.
 ///
 /// The paper names the terms but gives no values; docs/physics.md has the source of each default.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct NoiseBudget {
     /// Shot noise of the background light in A2/Hz.
     pub background_shot_a2_per_hz: f64,
@@ -45,7 +45,19 @@ pub struct NoiseBudget {
     /// Preamplifier noise in A2/Hz: the square of the input noise current density.
     pub preamplifier_a2_per_hz: f64,
     /// Noise variance in A2; replaces the sum of the terms.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub variance_a2: Option<f64>,
+}
+
+impl Default for NoiseBudget {
+    fn default() -> Self {
+        Self {
+            background_shot_a2_per_hz: 1.85e-22,
+            thermal_a2_per_hz: 3e-24,
+            preamplifier_a2_per_hz: 2e-23,
+            variance_a2: None,
+        }
+    }
 }
 
 impl NoiseBudget {

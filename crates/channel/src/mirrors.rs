@@ -30,6 +30,8 @@
 //! # Ok::<(), heliostat_channel::ChannelError>(())
 //! ```
 
+use serde::{Deserialize, Serialize};
+
 use crate::domain::{finite, not_negative, positive, require};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
@@ -38,15 +40,19 @@ use crate::geometry::Vec3;
 pub const MIRRORS_MAX: usize = 16_384;
 
 /// The wall that carries the array.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Wall {
     /// The wall at the largest y.
+    #[serde(rename = "+y")]
     PlusY,
     /// The wall at the largest x.
+    #[serde(rename = "+x")]
     PlusX,
     /// The wall at the smallest y.
+    #[serde(rename = "-y")]
     MinusY,
     /// The wall at the smallest x.
+    #[serde(rename = "-x")]
     MinusX,
 }
 

@@ -12,6 +12,8 @@
 //! assert!((Combining::MaximalRatio.combine(&gains) - 5e-6).abs() < 1e-18);
 //! ```
 
+use serde::{Deserialize, Serialize};
+
 use crate::domain::{positive, require};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
@@ -31,7 +33,8 @@ pub struct Branch {
 }
 
 /// How the branches of a receiver are combined; each branch has the same noise variance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Combining {
     /// Selection: H = max H_b, the branch with the highest SINR.
     Best,

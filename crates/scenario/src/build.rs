@@ -1,10 +1,10 @@
 //! Conversion of a scenario to the types and units of `heliostat-channel`.
 
 use heliostat_channel as optics;
-use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, NoiseBudget, Vec3};
+use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, Vec3};
 
 use crate::scenario::Scenario;
-use crate::tables::{Branch, ChannelMode, Combining, Mirrors, PowerLaw, ReceiverPreset, Wall};
+use crate::tables::{Branch, ChannelMode, Mirrors, ReceiverPreset, Wall};
 
 /// Field of view of each branch of the angle-diversity preset, in degrees.
 const ANGLE_DIVERSITY_FOV_DEG: f64 = 35.0;
@@ -31,11 +31,9 @@ impl Scenario {
     }
 
     fn array_spec(&self, table: &Mirrors) -> ArraySpec {
-        let (wall, wall_distance_m) = match table.wall {
-            Wall::PlusY => (optics::Wall::PlusY, self.room.length_y_m / 2.0),
-            Wall::PlusX => (optics::Wall::PlusX, self.room.length_x_m / 2.0),
-            Wall::MinusY => (optics::Wall::MinusY, self.room.length_y_m / 2.0),
-            Wall::MinusX => (optics::Wall::MinusX, self.room.length_x_m / 2.0),
+        let wall_distance_m = match table.wall {
+            Wall::PlusY | Wall::MinusY => self.room.length_y_m / 2.0,
+            Wall::PlusX | Wall::MinusX => self.room.length_x_m / 2.0,
         };
         ArraySpec {
             rows: table.rows,
@@ -44,7 +42,7 @@ impl Scenario {
             mirror_height_m: table.height_m,
             gap_m: table.gap_m,
             centre_height_m: table.centre_height_m,
-            wall,
+            wall: table.wall,
             wall_distance_m,
             reflectivity: table.reflectivity,
         }
@@ -80,28 +78,16 @@ impl Scenario {
             detector_area_m2: table.area_mm2 * 1e-6,
             filter_gain: table.filter_gain,
             concentrator_index: table.concentrator.then_some(table.concentrator_index),
-            combining: match table.combining {
-                Combining::Best => optics::Combining::Best,
-                Combining::EqualGain => optics::Combining::EqualGain,
-                Combining::MaximalRatio => optics::Combining::MaximalRatio,
-            },
+            combining: table.combining,
         }
     }
 
     fn link_budget(&self) -> LinkBudget {
         LinkBudget {
             power_w: self.led.power_w,
-            power_law: match self.channel.power_law {
-                PowerLaw::Linear => optics::PowerLaw::Linear,
-                PowerLaw::Squared => optics::PowerLaw::Squared,
-            },
+            power_law: self.channel.power_law,
             responsivity_a_per_w: self.receiver.responsivity_a_per_w,
-            noise: NoiseBudget {
-                background_shot_a2_per_hz: self.noise.background_shot_a2_per_hz,
-                thermal_a2_per_hz: self.noise.thermal_a2_per_hz,
-                preamplifier_a2_per_hz: self.noise.preamplifier_a2_per_hz,
-                variance_a2: self.noise.variance_a2,
-            },
+            noise: self.noise.clone(),
             bandwidth_hz: self.link.bandwidth_mhz * 1e6,
         }
     }

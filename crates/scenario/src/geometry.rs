@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::ScenarioError;
 use crate::mirror_tables::MirrorTables;
 use crate::scenario::{Scenario, parse_error, with_line};
-use crate::tables::{Blockage, Channel, Led, Link, Noise, Receiver, Room, Users};
+use crate::tables::{Blockage, Channel, Led, Link, NoiseBudget, Receiver, Room, Users};
 
 /// The keys of a scenario that a geometry holds.
 #[derive(Debug, Serialize, Deserialize)]
@@ -20,7 +20,7 @@ pub(crate) struct Geometry {
     led: Led,
     mirrors: MirrorTables,
     receiver: Receiver,
-    noise: Noise,
+    noise: NoiseBudget,
     link: Link,
     blockage: Bodies,
 }

@@ -21,11 +21,12 @@
 use serde::{Deserialize, Serialize};
 
 /// How far the true room is from the assumed one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum MismatchLevel {
     /// The room is as the scenario describes it.
     #[default]
+    #[value(skip)]
     None,
     /// An installation with care.
     Typical,

@@ -16,7 +16,7 @@ use crate::renames::{REMOVED, RENAMES, Renames};
 use crate::runtime::{Actuator, Control};
 use crate::similar::hint;
 use crate::streams::Streams;
-use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
+use crate::tables::{Blockage, Channel, Led, Link, MinRate, NoiseBudget, PowerLaw, Receiver, Room, Users};
 
 /// The description of one room; the files in deploy/scenarios explain every key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,7 +37,7 @@ pub struct Scenario {
     /// The users' receiver.
     pub receiver: Receiver,
     /// Noise of one detector.
-    pub noise: Noise,
+    pub noise: NoiseBudget,
     /// The shared bandwidth.
     pub link: Link,
     /// The users: number, speed, minimum rates.
@@ -64,7 +64,7 @@ impl Default for Scenario {
             led: Led::default(),
             mirrors: MirrorTables::default(),
             receiver: Receiver::default(),
-            noise: Noise::default(),
+            noise: NoiseBudget::default(),
             link: Link::default(),
             users: Users::default(),
             blockage: Blockage::default(),

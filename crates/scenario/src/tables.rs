@@ -6,6 +6,7 @@
 use std::ops::RangeInclusive;
 
 use heliostat_channel::Body;
+pub use heliostat_channel::{Combining, NoiseBudget, PowerLaw, Wall};
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
@@ -59,16 +60,6 @@ impl ChannelMode {
     }
 }
 
-/// The dependence of equation (6) on the transmitted power.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PowerLaw {
-    /// P, as printed.
-    Linear,
-    /// P squared, by the squared photocurrent.
-    Squared,
-}
-
 /// The channel mode and the interpretation of its equations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -118,23 +109,6 @@ impl Default for Led {
     }
 }
 
-/// The wall that carries the mirrors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Wall {
-    /// The wall at the largest y.
-    #[serde(rename = "+y")]
-    PlusY,
-    /// The wall at the largest x.
-    #[serde(rename = "+x")]
-    PlusX,
-    /// The wall at the smallest y.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// The wall at the smallest x.
-    #[serde(rename = "-x")]
-    MinusX,
-}
-
 /// The mirror array.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -170,18 +144,6 @@ impl Default for Mirrors {
             reflectivity: 0.95,
         }
     }
-}
-
-/// How the branches of a receiver are combined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Combining {
-    /// The branch with the highest SINR.
-    Best,
-    /// The photocurrents are added, and so are the noise variances.
-    EqualGain,
-    /// The SINRs are added.
-    MaximalRatio,
 }
 
 /// One detector of an angle-diversity receiver.
@@ -245,32 +207,6 @@ impl Default for Receiver {
             preset: ReceiverPreset::Single,
             branches: Vec::new(),
             combining: Combining::Best,
-        }
-    }
-}
-
-/// Noise of one detector: the terms as spectral densities.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Noise {
-    /// Shot noise of the background light in A2/Hz.
-    pub background_shot_a2_per_hz: f64,
-    /// Thermal noise in A2/Hz.
-    pub thermal_a2_per_hz: f64,
-    /// Preamplifier noise in A2/Hz.
-    pub preamplifier_a2_per_hz: f64,
-    /// Noise variance in A2; replaces the sum of the terms.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub variance_a2: Option<f64>,
-}
-
-impl Default for Noise {
-    fn default() -> Self {
-        Self {
-            background_shot_a2_per_hz: 1.85e-22,
-            thermal_a2_per_hz: 3e-24,
-            preamplifier_a2_per_hz: 2e-23,
-            variance_a2: None,
         }
     }
 }

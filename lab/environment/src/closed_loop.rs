@@ -14,6 +14,7 @@ use heliostat_core::observation::Observation;
 use heliostat_core::policy::Policy;
 use heliostat_room::SimulatedRoom;
 use heliostat_room::episode::{Episode, Event};
+use heliostat_room::reports::Report;
 use heliostat_scenario::Scenario;
 
 use crate::error::EnvironmentError;
@@ -148,12 +149,12 @@ pub fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
             }
             Message::Telemetry(*array, telemetry)
         }
-        Event::Obstacles(report) => Message::Obstacles(report),
-        Event::Orientation(report) => Message::Orientation(report),
-        Event::Channel(report) => Message::Channel(report),
-        Event::Leds(report) => Message::Leds(report),
-        Event::Branches(_) => return None,
-        Event::Users(report) => Message::Users(report),
+        Event::Report(Report::Obstacles(report)) => Message::Obstacles(report),
+        Event::Report(Report::Orientation(report)) => Message::Orientation(report),
+        Event::Report(Report::Channel(report)) => Message::Channel(report),
+        Event::Report(Report::Leds(report)) => Message::Leds(report),
+        Event::Report(Report::Branches(_)) => return None,
+        Event::Report(Report::Users(report)) => Message::Users(report),
     };
     Some(message)
 }

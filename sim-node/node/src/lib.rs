@@ -23,4 +23,4 @@ mod truth_publisher;
 
 pub use error::NodeError;
 pub use settings::{Pace, Settings};
-pub use summary::{Summary, TurnoverSummary};
+pub use summary::{SumRatesMbps, Summary};

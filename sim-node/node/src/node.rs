@@ -28,7 +28,7 @@ use crate::error::NodeError;
 use crate::metrics;
 use crate::session::RoomSession;
 use crate::settings::{Pace, Settings};
-use crate::summary::{BeliefSummary, Summary, TurnoverSummary};
+use crate::summary::{BeliefSummary, Summary};
 use crate::tick_ledger::TickLedger;
 use crate::truth_publisher::{Measurements, TruthPublisher};
 
@@ -375,7 +375,7 @@ impl Node {
             commands: counters(|counters| counters.accepted),
             clipped_commands: counters(|counters| counters.clipped),
             refused: refused.collect(),
-            turnover: self.room.world().turnover().map(TurnoverSummary::from),
+            turnover: self.room.world().turnover(),
             loop_us: self.ticks.quantiles_us(),
             belief: BeliefSummary::of(self.coverage.covered()),
             truth_us_mean: measurements.mean_cost_s * 1e6,

@@ -7,12 +7,12 @@ use heliostat_proto::Quantiles;
 use heliostat_room::baselines::RateCounters;
 use heliostat_room::world::arrivals::Turnover;
 use heliostat_service::printable::printable;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::coverage::Covered;
 
 /// Mean sum rates in Mbit/s over the same instants.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SumRatesMbps {
     /// With the angles of the policy.
     pub policy: f64,
@@ -22,24 +22,6 @@ pub struct SumRatesMbps {
     pub flat: f64,
     /// With the angles of the oracle.
     pub oracle: f64,
-}
-
-/// The users who entered and left.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct TurnoverSummary {
-    /// Users who entered after the start.
-    pub entered: u64,
-    /// Users who left.
-    pub left: u64,
-    /// Arrivals at a full room.
-    pub turned_away: u64,
-}
-
-impl From<Turnover> for TurnoverSummary {
-    fn from(turnover: Turnover) -> Self {
-        let Turnover { entered, left, turned_away } = turnover;
-        Self { entered, left, turned_away }
-    }
 }
 
 /// How often the controller's belief held the true place of a user.
@@ -106,7 +88,7 @@ pub struct Summary {
     pub blocked_users_mean: f64,
     /// The users who entered and left; absent where the users stay.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub turnover: Option<TurnoverSummary>,
+    pub turnover: Option<Turnover>,
     /// The controller's belief against the truth; absent where the controller publishes none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<BeliefSummary>,
@@ -162,7 +144,7 @@ impl fmt::Display for Summary {
         writeln!(f, "ratio to oracle {}", share(self.ratio_to_oracle))?;
         writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
         writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
-        if let Some(TurnoverSummary { entered, left, turned_away }) = self.turnover {
+        if let Some(Turnover { entered, left, turned_away }) = self.turnover {
             writeln!(f, "users           {entered} entered, {left} left, {turned_away} found the room full")?;
         }
         if let Some(BeliefSummary { places, inside_50, inside_95 }) = self.belief {

@@ -18,6 +18,7 @@
 //! use heliostat_proto::MirrorCommand;
 //! use heliostat_scenario::Scenario;
 //! use heliostat_room::episode::{Episode, Event};
+//! use heliostat_room::reports::Report;
 //!
 //! let scenario = Scenario::builtin("specular")?;
 //! let mirrors = scenario.mirror_count();
@@ -25,7 +26,7 @@
 //! let (mut reports, end_ns) = (0, 100_000_000);
 //! while let Some((now, event)) = episode.poll_event(end_ns) {
 //!     // A controller that keeps all mirrors flat.
-//!     if let Event::Users(report) = event {
+//!     if let Event::Report(Report::Users(report)) = event {
 //!         reports += 1;
 //!         let command = MirrorCommand {
 //!             epoch: 1,
@@ -46,10 +47,7 @@
 
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::Refusal;
-use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, LedReport, MirrorCommand, MirrorTelemetry, ObstacleReport,
-    OrientationReport, Stamp, UserReport,
-};
+use heliostat_proto::{Capabilities, MirrorCommand, MirrorTelemetry, Stamp};
 use heliostat_scenario::Scenario;
 
 use crate::mismatch::true_room;
@@ -66,31 +64,8 @@ const SOURCE: u64 = 1;
 pub enum Event {
     /// The telemetry of the array with this index.
     Telemetry(usize, Box<MirrorTelemetry>),
-    /// The users' positions and velocities; completes a tick.
-    Users(UserReport),
-    /// The users' channel gains and SINR.
-    Channel(ChannelReport),
-    /// The obstacles in the room.
-    Obstacles(ObstacleReport),
-    /// How the users hold their receivers.
-    Orientation(OrientationReport),
-    /// The channel gains of each branch of the users' receivers.
-    Branches(BranchReport),
-    /// Which LEDs the users' receivers detect.
-    Leds(LedReport),
-}
-
-impl From<Report> for Event {
-    fn from(report: Report) -> Self {
-        match report {
-            Report::Users(report) => Self::Users(report),
-            Report::Channel(report) => Self::Channel(report),
-            Report::Obstacles(report) => Self::Obstacles(report),
-            Report::Orientation(report) => Self::Orientation(report),
-            Report::Branches(report) => Self::Branches(report),
-            Report::Leds(report) => Self::Leds(report),
-        }
-    }
+    /// A report of one stream.
+    Report(Report),
 }
 
 /// A room with its report streams and its telemetry, in simulated time.
@@ -146,7 +121,7 @@ impl Episode {
                 return Some((now, Event::Telemetry(array, telemetry)));
             }
             if let Some(report) = self.reports.release(self.event_ns) {
-                return Some((now, report.into()));
+                return Some((now, Event::Report(report)));
             }
             let next_ns = self.next_event_ns()?;
             if next_ns > until_ns {
@@ -217,12 +192,12 @@ mod tests {
             .map(|(now, event)| {
                 let kind = match event {
                     Event::Telemetry(..) => 't',
-                    Event::Obstacles(_) => 'o',
-                    Event::Orientation(_) => 'h',
-                    Event::Branches(_) => 'b',
-                    Event::Leds(_) => 'l',
-                    Event::Channel(_) => 'c',
-                    Event::Users(_) => 'u',
+                    Event::Report(Report::Obstacles(_)) => 'o',
+                    Event::Report(Report::Orientation(_)) => 'h',
+                    Event::Report(Report::Branches(_)) => 'b',
+                    Event::Report(Report::Leds(_)) => 'l',
+                    Event::Report(Report::Channel(_)) => 'c',
+                    Event::Report(Report::Users(_)) => 'u',
                 };
                 (now.room_ns / 1_000_000, kind)
             })
@@ -258,7 +233,7 @@ mod tests {
         let mut episode = episode(&["actuator.profile=ideal"], 0);
         let mut turned = 0.0;
         while let Some((now, event)) = episode.poll_event(100_000_000) {
-            if let Event::Users(report) = event {
+            if let Event::Report(Report::Users(report)) = event {
                 let command = MirrorCommand {
                     epoch: 1,
                     sequence: report.tick,

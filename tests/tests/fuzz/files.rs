@@ -16,6 +16,7 @@ use heliostat_record::account::Account;
 use heliostat_record::file::{Header, Recording};
 use heliostat_record::replay;
 use heliostat_room::episode::Event;
+use heliostat_room::reports::Report;
 use heliostat_room::{Episode, SimulatedRoom};
 use heliostat_scenario::{BUILTIN_NAMES, Scenario};
 
@@ -87,12 +88,12 @@ pub fn scenario(input: &[u8]) {
     while let Some((_, event)) = episode.poll_event(end_ns) {
         let encoded = match &event {
             Event::Telemetry(_, report) => encode(report.as_ref(), &mut payload),
-            Event::Users(report) => encode(report, &mut payload),
-            Event::Channel(report) => encode(report, &mut payload),
-            Event::Obstacles(report) => encode(report, &mut payload),
-            Event::Orientation(report) => encode(report, &mut payload),
-            Event::Branches(report) => encode(report, &mut payload),
-            Event::Leds(report) => encode(report, &mut payload),
+            Event::Report(Report::Users(report)) => encode(report, &mut payload),
+            Event::Report(Report::Channel(report)) => encode(report, &mut payload),
+            Event::Report(Report::Obstacles(report)) => encode(report, &mut payload),
+            Event::Report(Report::Orientation(report)) => encode(report, &mut payload),
+            Event::Report(Report::Branches(report)) => encode(report, &mut payload),
+            Event::Report(Report::Leds(report)) => encode(report, &mut payload),
         };
         encoded.unwrap_or_else(|error| panic!("{error}: {event:?}"));
     }

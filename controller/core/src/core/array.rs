@@ -56,11 +56,10 @@ impl Controller {
         true
     }
 
-    /// Applies the bounds and the stop that an array reports. False for an array that is not
-    /// followed.
-    pub fn handle_safety(&mut self, array: usize, report: &SafetyReport) -> bool {
+    /// Applies the bounds and the stop that an array reports, if it is followed.
+    pub fn handle_safety(&mut self, array: usize, report: &SafetyReport) {
         if !self.admit_array(array, report.stamp.source) {
-            return false;
+            return;
         }
         let unknown = self.unknown_stops(report.stop().as_slice());
         if self.arrays[array].guard.handle_safety(report) {
@@ -68,7 +67,6 @@ impl Controller {
         }
         let validities_ms = self.arrays.iter().map(|array| array.guard.validity_ms());
         self.command.validity_ms = validities_ms.min().unwrap_or_default();
-        true
     }
 
     /// Gives no commands while a node in this room does not fit, independently of its capabilities.
@@ -81,16 +79,15 @@ impl Controller {
         self.arrays.iter_mut().for_each(|array| array.guard.stops.order(now, order));
     }
 
-    /// Applies the stops that an array reports; one that was not known concerns all arrays. False for an array that is not followed.
-    pub fn handle_stops(&mut self, array: usize, report: &StopReport) -> bool {
+    /// Applies the stops that an array reports, if it is followed; one that was not known concerns all arrays.
+    pub fn handle_stops(&mut self, array: usize, report: &StopReport) {
         if !self.admit_array(array, report.stamp.source) {
-            return false;
+            return;
         }
         let unknown = self.unknown_stops(&report.stops);
         if self.arrays[array].guard.stops.handle_stops(report) {
             self.learn_stops(&unknown);
         }
-        true
     }
 
     fn unknown_stops(&self, reported: &[LatchedStopReport]) -> Vec<LatchedStopReport> {

@@ -84,10 +84,6 @@ impl Device for Blocking {
         self.call(format!("turn {}", angles.roll[0]))
     }
 
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
         self.call("stop".into())
     }

@@ -23,16 +23,8 @@ impl Device for Mirror {
         Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, ..Capabilities::default() }
     }
 
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
     fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
         Ok(())
-    }
-
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
     }
 
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {

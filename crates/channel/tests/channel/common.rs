@@ -54,12 +54,7 @@ impl Room {
                 power_w: 2.0,
                 power_law: PowerLaw::Linear,
                 responsivity_a_per_w: 0.4,
-                noise: NoiseBudget {
-                    background_shot_a2_per_hz: 1.85e-22,
-                    thermal_a2_per_hz: 3e-24,
-                    preamplifier_a2_per_hz: 2e-23,
-                    variance_a2: None,
-                },
+                noise: NoiseBudget::default(),
                 bandwidth_hz: 20e6,
             },
         }

@@ -130,7 +130,7 @@ fn measure(args: Args) -> Result<()> {
 }
 
 fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Option<&Refinement>) -> Result<Session> {
-    let mut prior = Prior::of_level(args.level.into());
+    let mut prior = Prior::of_level(args.level);
     prior.scale = if args.scales { SCALE_SPREAD } else { 0.0 };
     let setup = Setup {
         model: scenario.channel_model()?,

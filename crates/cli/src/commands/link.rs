@@ -290,10 +290,10 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
         }
     }
     outln!(
-        "sum rate {:.3} Mbit/s; oracle {:.3} Mbit/s; oracle with QoS {:.3} Mbit/s",
+        "sum rate {:.3} Mbit/s; oracle {:.3} Mbit/s; oracle without minimum rates {:.3} Mbit/s",
         report.sum_rate_mbps,
-        report.oracle_sum_rate_mbps,
-        report.oracle_qos_sum_rate_mbps
+        report.oracle_qos_sum_rate_mbps,
+        report.oracle_sum_rate_mbps
     )
 }
 

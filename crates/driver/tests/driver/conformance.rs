@@ -68,10 +68,6 @@ impl Device for Exact {
         self.capabilities.clone()
     }
 
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
         match (self.turns.checked_sub(1), &self.failure) {
             (Some(turns), _) => self.turns = turns,

@@ -33,10 +33,6 @@ impl Device for Noting {
         Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, park_after_ms: 60_000, ..Capabilities::default() }
     }
 
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
         self.turns.lock().unwrap().push((thread::current().id(), angles.roll[0]));
         Ok(())

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
+use heliostat_core::core::Controller;
 use heliostat_core::core::memory::Memory;
-use heliostat_core::core::{Controller, Timing};
 use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, NodeKind, decode};
 
 use super::inputs::{Input, cloned, handle};
@@ -122,7 +122,7 @@ impl Progress {
                     if gave_command {
                         controller.repeat_withheld(withheld);
                     }
-                    let commands = decide(controller, input, now);
+                    let commands = controller.poll_recorded(input, now).map(cloned).unwrap_or_default();
                     if gave_command {
                         decisions.push(Decided { commands, counts: self.is_known });
                     } else {
@@ -179,17 +179,4 @@ impl Progress {
 /// A kind of process that publishes the stream of an input.
 fn publisher(input: InputKind) -> NodeKind {
     if input == InputKind::Telemetry { NodeKind::Driver } else { NodeKind::Tracker }
-}
-
-fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Vec<(usize, MirrorCommand)> {
-    let decision = match input {
-        InputKind::LateDecision => controller.poll_command(now, Timing::Late, &mut |_| {}),
-        InputKind::StaleDecision => controller.poll_stale_command(now),
-        InputKind::SilenceDecision => match controller.poll_timeout_command(now) {
-            Some(decision) => decision,
-            None => return Vec::new(),
-        },
-        _ => controller.poll_command(now, Timing::InTime, &mut |_| {}),
-    };
-    cloned(decision)
 }

@@ -11,6 +11,7 @@ use heliostat_calibrate::{Outcome, Place, Prior, Session, Setup, Stage};
 use heliostat_channel::{MirrorAngles, Vec3};
 use heliostat_proto::{Capabilities, MirrorCommand, UserReport};
 use heliostat_room::episode::{Episode, Event};
+use heliostat_room::reports::Report;
 use heliostat_scenario::{MinRate, MismatchLevel, Scenario};
 
 /// Time at each spot in s.
@@ -216,11 +217,11 @@ pub fn drive_turned(
             Some((at, event)) => {
                 now_ns = now_ns.max(at.room_ns);
                 match event {
-                    Event::Users(mut report) => {
+                    Event::Report(Report::Users(mut report)) => {
                         tracker(&mut report);
                         session.handle_users(&report);
                     }
-                    Event::Channel(report) => session.handle_channel(&report),
+                    Event::Report(Report::Channel(report)) => session.handle_channel(&report),
                     _ => {}
                 }
             }

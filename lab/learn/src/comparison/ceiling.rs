@@ -17,6 +17,7 @@ use heliostat_core::safety::Limits;
 use heliostat_proto::MirrorCommand;
 use heliostat_room::SimulatedRoom;
 use heliostat_room::episode::{Episode, Event};
+use heliostat_room::reports::Report;
 use heliostat_room::world::World;
 use heliostat_scenario::Scenario;
 
@@ -87,7 +88,7 @@ impl Ceiling {
     pub fn run(&mut self, times_ns: &[u64], look: &mut dyn FnMut(u64, &SimulatedRoom)) -> anyhow::Result<()> {
         for at_ns in times_ns {
             while let Some((now, event)) = self.episode.poll_event(*at_ns) {
-                let Event::Users(report) = event else { continue };
+                let Event::Report(Report::Users(report)) = event else { continue };
                 if !report.users.is_empty() && self.decide(now.room_ns)? {
                     self.command.answers = report.tick;
                     self.send(now).context("an array refused a command")?;

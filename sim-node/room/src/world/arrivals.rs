@@ -10,6 +10,7 @@
 //! and leaves from where it is.
 
 use heliostat_scenario::Arrivals as Settings;
+use serde::Serialize;
 
 use crate::random::{self, Purpose, RoomRng};
 
@@ -42,7 +43,7 @@ impl Change {
 }
 
 /// The users who enter and leave so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Turnover {
     /// Users who entered after the start.
     pub entered: u64,

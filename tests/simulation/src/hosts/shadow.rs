@@ -3,7 +3,7 @@
 
 use std::rc::Rc;
 
-use heliostat_core::core::{Controller, Timing, memory::Memory};
+use heliostat_core::core::{Controller, memory::Memory};
 use heliostat_core::inbox::Message;
 use heliostat_core::room_core::Output;
 use heliostat_proto::{
@@ -186,16 +186,7 @@ impl Shadow {
     }
 
     fn decide(&mut self, recorded: &ControllerInput) -> Vec<(usize, MirrorCommand)> {
-        let now = recorded.time_ns;
-        let decision = match recorded.input {
-            InputKind::LateDecision => self.controller.poll_command(now, Timing::Late, &mut |_| {}),
-            InputKind::StaleDecision => self.controller.poll_stale_command(now),
-            InputKind::SilenceDecision => match self.controller.poll_timeout_command(now) {
-                Some(decision) => decision,
-                None => return Vec::new(),
-            },
-            _ => self.controller.poll_command(now, Timing::InTime, &mut |_| {}),
-        };
+        let Some(decision) = self.controller.poll_recorded(recorded.input, recorded.time_ns) else { return Vec::new() };
         decision.commands().map(|(array, command)| (array, unnumbered(command.clone()))).collect()
     }
 }

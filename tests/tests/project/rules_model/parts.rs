@@ -62,10 +62,6 @@ impl Device for Hardware {
         one_mirror()
     }
 
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
         self.roll = angles.roll[0];
         Ok(())

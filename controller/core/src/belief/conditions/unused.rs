@@ -1,7 +1,7 @@
 //! Keys that a scenario sets to no effect, because another key replaces them or excludes their use.
 
 use heliostat_scenario::{
-    ChannelMode, Mismatch, MismatchLevel, MobilityModel, Noise, Receiver, ReceiverPreset, Scenario, Users,
+    ChannelMode, Mismatch, MismatchLevel, MobilityModel, NoiseBudget, Receiver, ReceiverPreset, Scenario, Users,
 };
 
 use super::{Condition, walks};
@@ -134,7 +134,7 @@ fn of_link(Scenario { receiver, noise, channel, .. }: &Scenario) -> Vec<Conditio
             "the key has no effect; set receiver.concentrator to true",
         )
     });
-    let has_terms = Noise { variance_a2: None, ..noise.clone() } != Noise::default();
+    let has_terms = NoiseBudget { variance_a2: None, ..noise.clone() } != NoiseBudget::default();
     let terms = (has_terms && noise.variance_a2.is_some()).then(|| {
         unused(
             "the sum of the terms of noise",

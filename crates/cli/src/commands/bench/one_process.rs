@@ -129,10 +129,6 @@ impl Device for NotingDevice {
         }
     }
 
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
     fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
         let time_ns = monotonic_ns().map_err(|error| DeviceError::new("clock", error))?;
         let mut log = lock(&self.log);
@@ -140,10 +136,6 @@ impl Device for NotingDevice {
             log.times_ns.push(time_ns);
         }
         Ok(())
-    }
-
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
     }
 
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {

@@ -60,7 +60,7 @@ pub struct Args {
     pub user: Option<u32>,
     /// How the room was installed: by a laser and with care, or by a tape and by eye
     #[arg(long, value_name = "LEVEL", default_value = "rough")]
-    pub level: Level,
+    pub level: MismatchLevel,
     /// Estimate the scale of each axis too, not only its offset
     #[arg(long)]
     pub scales: bool,
@@ -113,24 +113,6 @@ pub struct ApplyArgs {
     /// Print the result as one JSON object
     #[arg(long)]
     pub json: bool,
-}
-
-/// How a room was installed.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub enum Level {
-    /// With care and alignment tools.
-    Typical,
-    /// Without them.
-    Rough,
-}
-
-impl From<Level> for MismatchLevel {
-    fn from(level: Level) -> Self {
-        match level {
-            Level::Typical => Self::Typical,
-            Level::Rough => Self::Rough,
-        }
-    }
 }
 
 impl Args {

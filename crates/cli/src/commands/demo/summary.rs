@@ -8,28 +8,18 @@ use heliostat_controller::report::summary::PolicySummary;
 use heliostat_core::{policy::Tally, safety::Clipped};
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
+use heliostat_sim_node::SumRatesMbps;
 use heliostat_ui::NetworkFile;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use heliostat_service::outln;
 
-/// Mean sum rates in Mbit/s over the same instants.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-struct SumRates {
-    policy: f64,
-    no_irs: f64,
-    flat: f64,
-    oracle: f64,
-}
-
-impl SumRates {
-    /// The rate of the credited policy, then those that it is compared with. It is not compared with itself.
-    fn rows<'a>(&self, credited: &'a str) -> impl Iterator<Item = (&'a str, f64)> {
-        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle", self.oracle)];
-        let others = compared.into_iter().filter(move |(name, _)| *name != credited);
-        std::iter::once((credited, self.policy)).chain(others)
-    }
+/// The rate of the credited policy, then those that it is compared with. It is not compared with itself.
+fn rows<'a>(rates: &SumRatesMbps, credited: &'a str) -> impl Iterator<Item = (&'a str, f64)> {
+    let compared = [("no IRS", rates.no_irs), ("flat", rates.flat), ("oracle", rates.oracle)];
+    let others = compared.into_iter().filter(move |(name, _)| *name != credited);
+    std::iter::once((credited, rates.policy)).chain(others)
 }
 
 /// The summary of the room.
@@ -45,7 +35,7 @@ struct RoomPart {
     late_ticks: u64,
     commands: u64,
     loop_us: Quantiles,
-    sum_rate_mbps: Option<SumRates>,
+    sum_rate_mbps: Option<SumRatesMbps>,
     ratio_to_oracle: Option<f64>,
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
@@ -104,7 +94,7 @@ impl RoomPart {
             outln!("{credited:<26}{:>9}", "unknown")?;
         }
         if let Some(rates) = &self.sum_rate_mbps {
-            for (name, rate) in rates.rows(credited) {
+            for (name, rate) in rows(rates, credited) {
                 outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
             }
         }
@@ -328,8 +318,8 @@ mod tests {
 
     #[test]
     fn the_policy_of_flat_mirrors_is_not_compared_with_itself() {
-        let rates = SumRates { policy: 5.0, no_irs: 4.0, flat: 5.0, oracle: 9.0 };
-        let names = |credited| rates.rows(credited).map(|(name, _)| name).collect::<Vec<_>>();
+        let rates = SumRatesMbps { policy: 5.0, no_irs: 4.0, flat: 5.0, oracle: 9.0 };
+        let names = |credited| rows(&rates, credited).map(|(name, _)| name).collect::<Vec<_>>();
         assert_eq!(names("flat"), ["flat", "no IRS", "oracle"]);
         assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle"]);
     }

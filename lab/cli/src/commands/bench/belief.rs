@@ -21,6 +21,7 @@ use heliostat_environment::closed_loop::message;
 use heliostat_models::{ActorSource, build};
 use heliostat_proto::{Nanos, UserReport};
 use heliostat_room::episode::{Episode, Event};
+use heliostat_room::reports::Report;
 use heliostat_scenario::Scenario;
 use heliostat_service::duration;
 use serde::Serialize;
@@ -220,7 +221,7 @@ impl Measured {
                 self.places.clear();
                 self.places.extend(report.users.iter().map(|user| Vec3::from_iterator(user.position_m.map(f64::from))));
             }
-            let is_channel = matches!(event, Event::Channel(_));
+            let is_channel = matches!(event, Event::Report(Report::Channel(_)));
             let Some(message) = message(&mut event, true) else { continue };
             let started = Instant::now();
             let due = controller.handle_message(*now, message);
@@ -261,7 +262,7 @@ impl Measured {
 
 fn users(event: &Event) -> Option<&UserReport> {
     match event {
-        Event::Users(report) => Some(report),
+        Event::Report(Report::Users(report)) => Some(report),
         _ => None,
     }
 }

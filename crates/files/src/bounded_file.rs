@@ -7,7 +7,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use crate::excerpt::CARRIAGE_RETURNS;
-use crate::foreign_file::foreign_file;
+use crate::foreign_file::foreign_text;
 
 /// Longest text in bytes: a recorded walk of some 2 million samples.
 const TEXT_MAX: u64 = 64 << 20;
@@ -68,7 +68,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 
 /// The place of the first invalid byte, both counted from 1.
 fn not_utf8(bytes: &[u8], valid: usize) -> io::Error {
-    if let Some(what) = foreign_file(bytes, "a text in UTF-8") {
+    if let Some(what) = foreign_text(bytes) {
         return io::Error::new(io::ErrorKind::InvalidData, format!("it {what}"));
     }
     let before = &bytes[..valid];

@@ -79,6 +79,15 @@ pub fn numbers(array: &PyReadonlyArray1<'_, f64>, length: usize, name: &str) -> 
     Ok(values)
 }
 
+/// Minimum rates in bit/s from those of this number of users in Mbit/s.
+pub fn min_rates_bps(array: &PyReadonlyArray1<'_, f64>, users: usize) -> PyResult<Vec<f64>> {
+    let rates = numbers(array, users, "min_rate_mbps")?;
+    match rates.iter().find(|rate| **rate < 0.0) {
+        Some(rate) => Err(refused(format!("min_rate_mbps holds {rate}, expected 0 or more"))),
+        None => Ok(rates.iter().map(|rate| 1e6 * rate).collect()),
+    }
+}
+
 /// Roll and yaw of this number of mirrors, in rad.
 pub fn angles(
     roll: &PyReadonlyArray1<'_, f64>,

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, orientations, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, min_rates_bps, numbers, orientations, pair, positions};
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
@@ -169,7 +169,7 @@ impl Channel {
         let scene = self.scene(&positions, blockers.as_ref(), normals.as_ref())?;
         few_users(scene.users())?;
         let min_rate_bps = match min_rate_mbps {
-            Some(rates) => numbers(&rates, scene.users(), "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),
+            Some(rates) => min_rates_bps(&rates, scene.users())?,
             None => self.min_rate_bps.iter().copied().cycle().take(scene.users()).collect::<Vec<_>>(),
         };
         let angles = py.detach(|| {

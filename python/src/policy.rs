@@ -15,7 +15,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, orientations, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, min_rates_bps, orientations, pair, positions};
 use crate::error::{guarded, refused};
 use crate::exclusive::Exclusive;
 use crate::scenario::Scenario;
@@ -155,7 +155,7 @@ impl Policy {
         let held = normals.as_ref().map(orientations).transpose()?;
         let users = places.len();
         let min_rate_bps = match min_rate_mbps {
-            Some(rates) => numbers(&rates, users, "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),
+            Some(rates) => min_rates_bps(&rates, users)?,
             None => self.min_rate_bps.iter().copied().cycle().take(users).collect::<Vec<_>>(),
         };
         let state = RoomState {

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -158,6 +159,18 @@ def test_objects_of_the_package_are_copied_and_pickled() -> None:
             policy.act(users)
             np.testing.assert_equal(way(policy).act(users + 0.1), policy.act(users + 0.1))
     assert scenario != heliostat.load_scenario("hall")
+
+
+def test_a_recording_is_copied_and_pickled_by_its_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    golden = Path(__file__).parents[2] / "tests/data/golden.mcap"
+    if not golden.exists():
+        pytest.skip("the recording is in the repository only")
+    monkeypatch.chdir(golden.parent)
+    recording = heliostat.Recording(golden.name)
+    pickled = pickle.dumps(recording)
+    monkeypatch.chdir(tmp_path)
+    for made in (copy.deepcopy(recording), pickle.loads(pickled)):
+        np.testing.assert_equal(made.commands(), recording.commands())
 
 
 def test_a_recorded_walk_is_in_the_pickle(tmp_path: Any) -> None:

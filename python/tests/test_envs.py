@@ -372,6 +372,7 @@ def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
         (bad, "NaN at index 7"),
         (np.zeros(200, np.complex64), "action: dtype complex64, expected real numbers"),
         (np.array(["0.5"] * 200), "action: dtype <U3, expected real numbers"),
+        ((np.zeros(200), None), "action: a tuple of unequal parts, expected an array of real numbers; of several values"),
         ([None] * 200, "action: dtype object"),
     ]
     for action, reason in cases:

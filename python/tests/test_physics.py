@@ -200,10 +200,13 @@ def test_learned_policies_are_built_in_by_name() -> None:
         heliostat.Policy("ddpg-raw", overrides={"mirrors.rows": 3})
 
 
-def test_an_observation_of_another_shape_or_without_numbers_is_refused_as_such() -> None:
+def test_an_observation_without_users_has_an_answer_and_one_without_numbers_is_refused() -> None:
     policy = heliostat.Policy("ddpg")
-    length = heliostat.HeliostatEnv().observation_space.shape[0]
-    assert np.isfinite(policy.answer(np.zeros(length))).all()
+    length = len(heliostat.HeliostatEnv().reset(seed=1)[0])
+    # Without users the last angles stay, as in a controller.
+    empty = np.zeros(length)
+    empty[1060:1260] = 0.125
+    assert np.concatenate(policy.answer(empty)) == pytest.approx(np.full(200, 0.125))
     with pytest.raises(ValueError, match="observation has the shape .1, .*expected 1 dimensions"):
         policy.answer(np.zeros((1, length)))
     with pytest.raises(ValueError, match="observation holds NaN or infinity, expected finite numbers"):
@@ -266,6 +269,8 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: room.oracle(USERS, [[0.0, 0.0, 0.1, -2.0]]), "blockers holds the height -2, expected metres from 0"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=0), "sharing = 0"),
         (lambda: room.decode(USERS, [1.0, -1.0, 0.0]), "weights holds -1"),
+        (lambda: room.oracle(USERS, min_rate_mbps=[1.0, -1.0, 0.0]), "min_rate_mbps holds -1, expected 0 or more"),
+        (lambda: heliostat.Policy("greedy").act(USERS, min_rate_mbps=-np.ones(3)), "min_rate_mbps holds -1, expected 0"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=-1), "sharing = -1: expected an integer from 1"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=0.0), "step_m = 0.0: expected a positive number"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e-6), "2.5e.13 points in this room, expected at most"),

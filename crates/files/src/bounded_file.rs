@@ -1,12 +1,13 @@
 //! Files that a flag or a scenario names: a pipe without a writer must not hang a program, and a device or a file of
 //! gigabytes must not fill the memory.
 
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
 use crate::excerpt::CARRIAGE_RETURNS;
-use crate::foreign_file::foreign_file;
+use crate::foreign_file::foreign_text;
 
 /// Longest text in bytes: a recorded walk of some 2 million samples.
 const TEXT_MAX: u64 = 64 << 20;
@@ -17,11 +18,23 @@ const TEXT_MAX: u64 = 64 << 20;
 /// What the operating system reports, or a pipe outside `/dev`, which may never have a writer.
 #[allow(clippy::disallowed_methods, reason = "the one place that opens the files of a flag or a scenario")]
 pub fn open_file(path: &Path) -> io::Result<File> {
-    let kind = std::fs::metadata(path)?.file_type();
+    let kind = std::fs::metadata(path).map_err(|error| with_hint(error, path))?.file_type();
     if !(kind.is_file() || kind.is_dir() || path.starts_with("/dev") || path.starts_with("/proc")) {
         return Err(io::Error::other("it is no regular file: expected one, or /dev/stdin for a pipe"));
     }
     File::open(path)
+}
+
+/// The error of a path that a shell would have completed: none does so in a file, or behind the `=` of a flag.
+fn with_hint(error: io::Error, path: &Path) -> io::Error {
+    let is_of_shell = |part: &OsStr| part == "~" || part.to_string_lossy().starts_with('$');
+    if error.kind() == io::ErrorKind::NotFound && path.iter().any(is_of_shell) {
+        return io::Error::new(
+            error.kind(),
+            format!("{error}; ~ and $ stay as they are here: write the folder itself"),
+        );
+    }
+    error
 }
 
 /// Reads a file of at most so many bytes, which are some MiB.
@@ -55,7 +68,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 
 /// The place of the first invalid byte, both counted from 1.
 fn not_utf8(bytes: &[u8], valid: usize) -> io::Error {
-    if let Some(what) = foreign_file(bytes, "a text in UTF-8") {
+    if let Some(what) = foreign_text(bytes) {
         return io::Error::new(io::ErrorKind::InvalidData, format!("it {what}"));
     }
     let before = &bytes[..valid];
@@ -76,6 +89,17 @@ mod tests {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), bytes).expect("written");
         read_text(file.path())
+    }
+
+    #[test]
+    fn a_path_that_a_shell_would_complete_is_refused_with_what_to_do() {
+        for path in ["~/walk.csv", "rooms/$HOME/walk.csv"] {
+            let error = open_file(Path::new(path)).expect_err("no such file");
+            assert_eq!(error.kind(), io::ErrorKind::NotFound);
+            assert!(error.to_string().ends_with("~ and $ stay as they are here: write the folder itself"), "{error}");
+        }
+        let error = open_file(Path::new("nowhere/walk.csv")).expect_err("no such file");
+        assert!(error.raw_os_error().is_some(), "{error}");
     }
 
     #[cfg(unix)]

@@ -14,6 +14,9 @@ const BEGINNINGS: [(&[u8], &str, &str); 10] = [
     (b"\xfe\xff", "is text in UTF-16", "save it in UTF-8"),
 ];
 
+/// A binary file has a zero among its first bytes; the lost end of a text may have more.
+const BINARY_WITHIN: usize = 64;
+
 /// What a file is instead of what was expected, and what to do, from its first bytes; `None` where it may
 /// be what was expected. The sentence begins with a verb, for the name of the file before it.
 ///
@@ -43,6 +46,26 @@ pub fn foreign_file(beginning: &[u8], expected: &str) -> Option<String> {
     None
 }
 
+/// As [`foreign_file`] where a text in UTF-8 is expected: a recording is named too, and what begins with zero bytes.
+///
+/// ```
+/// use heliostat_files::foreign_text;
+///
+/// assert_eq!(foreign_text(b"time,user,x,y"), None);
+/// assert!(foreign_text(b"\x89MCAP0\r\n").is_some_and(|found| found.starts_with("is a recording")));
+/// ```
+pub fn foreign_text(beginning: &[u8]) -> Option<String> {
+    const EXPECTED: &str = "a text in UTF-8";
+    if beginning.starts_with(b"\x89MCAP") {
+        return Some(format!("is a recording, expected {EXPECTED}: `heliostat-lab trace export` writes its walk"));
+    }
+    let is_binary = || beginning.iter().take(BINARY_WITHIN).any(|byte| *byte == 0);
+    foreign_file(beginning, EXPECTED).or_else(|| {
+        let what = "holds zero bytes, as a binary file or a text in UTF-16";
+        is_binary().then(|| format!("{what}, expected {EXPECTED}: name a text, or save it in UTF-8"))
+    })
+}
+
 /// Whether a file is one of a spreadsheet or a text program: a zip archive whose first entry says so, or the older
 /// binary format.
 fn is_of_office(beginning: &[u8]) -> bool {
@@ -55,7 +78,7 @@ fn is_of_office(beginning: &[u8]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::foreign_file;
+    use super::{foreign_file, foreign_text};
 
     #[test]
     fn files_of_other_kinds_are_named_with_what_to_do() {
@@ -87,5 +110,20 @@ mod tests {
         }
         assert_eq!(foreign_file(b"\x08\x08\x12\x07pytorch", "an ONNX file"), None);
         assert_eq!(foreign_file(b"< 3", "an ONNX file"), None);
+    }
+
+    #[test]
+    fn what_is_no_text_is_named() {
+        for (bytes, words) in [
+            (&b"\x89MCAP0\r\n"[..], "is a recording, expected a text in UTF-8: `heliostat-lab trace export`"),
+            (b"\x08\x0a\0\x12", "holds zero bytes, as a binary file or a text in UTF-16, expected a text"),
+            (b"t\0i\0m\0e\0", "holds zero bytes"),
+            (b"PAR1", "is a Parquet file"),
+        ] {
+            let found = foreign_text(bytes).unwrap_or_default();
+            assert!(found.starts_with(words), "{words}: {found}");
+        }
+        let padded = [&[b'0'; 100][..], &[0; 100]].concat();
+        assert_eq!(foreign_text(&padded), None);
     }
 }

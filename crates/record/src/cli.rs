@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Result, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
+use heliostat_files::shell_word;
 use heliostat_proto::Room;
 use heliostat_scenario::{BUILTIN_NAMES, ScenarioArgs};
 use heliostat_service::exit::UnusableInput;
@@ -147,7 +148,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         return Err(UnusableInput::new(format!("{file} has no command that a replay can compare: {reason}")).into());
     }
     if !args.verify {
-        let (file, scenario) = (settings.file.display(), scenario_argument(&verdict.scenario));
+        let (file, scenario) = (shell_word(&settings.file.to_string_lossy()), scenario_argument(&verdict.scenario));
         output::note(format_args!(
             "replay: commands are compared, not rates: the recorded gains are those of the recorded commands. For rates over the recorded walk: \
              heliostat-lab trace export {file} --out walk.csv; then heliostat-lab eval --closed-loop --scenario {scenario}, \

@@ -10,7 +10,7 @@ use heliostat_core::observation::USERS_CAPACITY;
 use heliostat_core::policy::NameParser;
 use heliostat_core::policy::actor_file::{key, room_entries};
 use heliostat_environment::exact_states;
-use heliostat_files::write_whole;
+use heliostat_files::{shell_word, write_whole};
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -150,9 +150,9 @@ impl TrainArgs {
     fn command(&self, seed: u64) -> String {
         let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
         let (algorithm, scenario) = (self.algorithm.name, &self.scenario.scenario);
-        let scenario = quoted(scenario);
+        let scenario = shell_word(scenario);
         let mut command = format!("heliostat-lab train {algorithm} --scenario {scenario} --seed {seed}{preset}");
-        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
+        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &shell_word(value)]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
@@ -167,21 +167,11 @@ impl TrainArgs {
     /// The command that resumes the run in its folder.
     fn resuming_command(&self, seed: u64) -> String {
         let mut command = self.command(seed);
-        command.push_str(&format!(" --out {}", quoted(&self.out.to_string_lossy())));
+        command.push_str(&format!(" --out {}", shell_word(&self.out.to_string_lossy())));
         if self.json {
             command.push_str(" --json");
         }
         command + " --resume"
-    }
-}
-
-/// A word quoted for a shell. A pair of braces without content is literal in every shell.
-pub fn quoted(word: &str) -> String {
-    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./=,:+@%".contains(letter);
-    if !word.is_empty() && word.replace("{}", "").chars().all(is_plain) {
-        word.into()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
     }
 }
 

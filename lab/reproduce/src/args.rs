@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
+use heliostat_files::shell_word;
 use heliostat_models::ActorSource;
 use heliostat_scenario::ScenarioArgs;
 
@@ -190,7 +191,7 @@ pub fn command_of_report(args: &ReproduceArgs) -> String {
 /// The flags that a figure depends on, with the one for its room or for all rooms.
 fn flags(args: &ReproduceArgs, rooms: Option<(&str, &str)>) -> String {
     let mut flags = String::new();
-    let mut add = |flag: &str, value: &str| flags.push_str(&format!(" --{flag} {}", command::quoted(value)));
+    let mut add = |flag: &str, value: &str| flags.push_str(&format!(" --{flag} {}", shell_word(value)));
     rooms.into_iter().for_each(|(flag, value)| add(flag, value));
     args.overrides.iter().for_each(|text| add("set", text));
     let mut number = |flag: &str, value: Option<u64>| value.into_iter().for_each(|value| add(flag, &value.to_string()));

@@ -87,7 +87,12 @@ def name_of(value: Any) -> str:
 
 def real(name: str, values: Any) -> NDArray[Any]:
     """An array of booleans, integers or real numbers; a complex number, a text or an object is refused."""
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        kind = type(values).__name__
+        hint = "; of several values, as `predict` of Stable-Baselines3 returns, give the first" if kind == "tuple" else ""
+        raise ValueError(f"{name}: a {kind} of unequal parts, expected an array of real numbers{hint}") from None
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name}: dtype {array.dtype}, expected real numbers")
     return array

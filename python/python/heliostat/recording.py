@@ -38,12 +38,14 @@ def _component(name: str, index: int) -> str:
 class Recording:
     """A recording up to its end, or to its last complete chunk.
 
-    A file that was cut, and one with messages that cannot be read, warns with `RuntimeWarning`.
+    A file that was cut, and one with messages that cannot be read, warns with `RuntimeWarning`. A copy and a pickle hold the
+    path, and read the file again.
 
     Raises `FileNotFoundError` for a path without a file, and `ValueError` for a file that is not a recording of a room.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = os.path.abspath(path)
         if not os.path.exists(path):
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), os.fspath(path))
         self._inner = _Recording(os.fspath(path))
@@ -52,6 +54,9 @@ class Recording:
             warnings.warn(cut, RuntimeWarning, stacklevel=2)
         if self._inner.unreadable is not None:
             warnings.warn(f"{os.fspath(path)}: {self._inner.unreadable}", RuntimeWarning, stacklevel=2)
+
+    def __reduce__(self) -> tuple[type[Recording], tuple[str]]:
+        return type(self), (self._path,)
 
     def __repr__(self) -> str:
         name, messages, duration_s = self._inner.room, self._inner.messages, self._inner.duration_s

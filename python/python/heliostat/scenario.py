@@ -12,8 +12,8 @@ import numpy as np
 
 from ._core import Scenario
 
-Value: TypeAlias = bool | int | float | str | Sequence[Any] | Mapping[str, Any]
-"""A value of a scenario's key; a mapping is a table."""
+Value: TypeAlias = bool | int | float | str | os.PathLike[str] | Sequence[Any] | Mapping[str, Any]
+"""A value of a scenario's key; a mapping is a table, and a path its text."""
 
 __all__ = ["Bounds", "Scenario", "Value", "bounds_of", "load_scenario"]
 
@@ -76,8 +76,8 @@ def _toml(key: str, value: Any) -> str:
         return f"{{{', '.join(entries)}}}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(_toml(key, entry) for entry in value)}]"
-    if isinstance(value, str):
-        return _text(key, value)
+    if isinstance(value, (str, os.PathLike)):
+        return _text(key, os.fspath(value))
     if isinstance(value, (bool, int, float)):
         return json.dumps(value).replace("Infinity", "inf").replace("NaN", "nan")
     raise TypeError(f"overrides: {key} is of the type {type(value).__name__}, expected a value of TOML")

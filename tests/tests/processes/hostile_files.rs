@@ -238,6 +238,17 @@ fn control_characters_of_files_do_not_reach_the_terminal() {
     }
 }
 
+#[test]
+fn a_check_of_an_absent_scenario_answers_as_json_too() {
+    let ended = run(&["scenario", "check", "absent.toml", "--json"]);
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+    let report: serde_json::Value = serde_json::from_str(&ended.output).expect("one JSON object");
+    assert_eq!(report["valid"], false);
+    let problem = report["problem"].as_str().expect("a text");
+    assert!(problem.starts_with("scenario file absent.toml cannot be read: "), "{problem}");
+    assert!(ended.errors.contains("absent.toml cannot be used: scenario file absent.toml"), "{}", ended.errors);
+}
+
 #[cfg(unix)]
 #[test]
 fn what_is_no_regular_file_is_refused_and_not_awaited() {

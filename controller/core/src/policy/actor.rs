@@ -62,7 +62,7 @@ impl Actor {
         Self { name, ..self }
     }
 
-    /// The angles for an observation vector.
+    /// The angles for an observation vector; those in the vector where no user is present.
     ///
     /// # Errors
     /// Where the vector has another length, or as [`act`](Policy::act).
@@ -70,6 +70,11 @@ impl Actor {
         let encoder = self.info.vector_encoder(model.mirrors.len());
         if (self.info.observation, self.info.action) != (ObservationKind::Flat, ActionKind::Angles) {
             let observation = Observation::of_vector(model, encoder, vector)?;
+            // As in a controller: without users no angle is better than the last one.
+            if observation.users() == 0 {
+                out.clone_from(&observation.angles);
+                return Ok(());
+            }
             return self.act(model, &observation, out);
         }
         if vector.len() != encoder.len() {

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use heliostat_core::belief::conditions::conditions;
+use heliostat_files::shell_word;
 use heliostat_room::World;
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 
@@ -55,7 +56,11 @@ pub fn run(args: Args) -> Result<()> {
         Action::Check { file, overrides, json } => check(file, overrides, json),
         Action::New { file, from } => {
             whole_file::write_new(&file, Scenario::builtin_text(&from)?.as_bytes())?;
-            outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
+            outln!(
+                "wrote {}; check it with: heliostat scenario check {}",
+                file.display(),
+                shell_word(&file.to_string_lossy())
+            )?;
             Ok(())
         }
         Action::Show { file, scenario } => {
@@ -103,7 +108,10 @@ fn check(file: String, overrides: Vec<String>, json: bool) -> Result<()> {
 /// The scenario, with defaults in place of refused keys, and all problems of the file and of its
 /// recorded walk.
 fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
-    let text = args.text().with_context(|| format!("{} cannot be used", args.scenario))?;
+    let text = match args.text() {
+        Ok(text) => text,
+        Err(error) => return Ok((None, vec![error.to_string()])),
+    };
     let checked = Scenario::check_all_with(&text, &args.overrides);
     let mut problems: Vec<String> = checked.problems.iter().map(ToString::to_string).collect();
     let Some(mut scenario) = checked.scenario else { return Ok((None, problems)) };

@@ -215,6 +215,7 @@ fn a_file_of_another_kind_is_named_with_what_to_do() {
     for (bytes, words) in [
         (&b"\xff\xfet\0i\0m\0e\0"[..], "the file is text in UTF-16, expected a text in UTF-8: save it in UTF-8"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of git-lfs"),
+        (b"\x89MCAP0\r\n", "the file is a recording, expected a text in UTF-8: `heliostat-lab trace export`"),
         (b"", "is empty"),
     ] {
         fs::write(folder.path().join("walks.csv"), bytes).expect("written");

@@ -45,7 +45,7 @@ pub(super) fn number(line: u64, column: &str, text: &str) -> Result<f64, RowRefu
 }
 
 /// What a cell is that holds no number, and what to do.
-fn hint(column: &str, text: &str) -> &'static str {
+pub(crate) fn hint(column: &str, text: &str) -> &'static str {
     let begins_with_digit = text.starts_with(|letter: char| letter.is_ascii_digit());
     if text.eq_ignore_ascii_case(column) {
         "; the header stands here again: import joined files one by one"

@@ -18,6 +18,7 @@ use heliostat_proto::SPEED_MAX_M_S;
 use heliostat_scenario::WALKING_M_S;
 use thiserror::Error;
 
+use crate::walks::rows::hint;
 use crate::world::walker::{Floor, Walker};
 
 /// What is wrong with a recorded walk.
@@ -46,7 +47,10 @@ pub enum TraceError {
         expected: usize,
     },
     /// A column holds no finite number.
-    #[error("line {line}: invalid {column} `{found}`: expected a finite number, for `user` a whole one")]
+    #[error(
+        "line {line}: invalid {column} `{found}`: expected a finite number, for `user` a whole one{}",
+        hint(column, found)
+    )]
     Value {
         /// Line number, from 1.
         line: usize,

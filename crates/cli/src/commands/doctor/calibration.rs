@@ -7,6 +7,7 @@ use anyhow::Result;
 use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_driver::calibration_store;
+use heliostat_files::shell_word;
 use heliostat_proto::Stamp;
 use heliostat_proto::messages::fault;
 use heliostat_scenario::{GeometryDifference, Scenario, ScenarioArgs};
@@ -90,7 +91,7 @@ fn check_use(file: &Path, array: usize, driver: &DriverState) -> Check {
     let bring = format!(
         "heliostat calibrate apply {file}{of_array} brings it to the running driver; start the driver with \
          --calibration {file} from then on",
-        file = file.display()
+        file = shell_word(&file.to_string_lossy())
     );
     match (driver.calibration, driver.faults & fault::CALIBRATION != 0) {
         (_, true) => Check::fail(

@@ -6,8 +6,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::Result;
+use heliostat_files::shell_word;
 use heliostat_learn::comparison::{Loop, Report, Row, Spread};
-use heliostat_reproduce::command::quoted;
 use heliostat_reproduce::draw::style::short_number;
 use heliostat_reproduce::machine;
 use heliostat_scenario::Scenario;
@@ -35,7 +35,7 @@ pub fn write(file: &Path, scenario: &Scenario, grid: Option<&Grid>, reports: &[R
 /// The command line of this process.
 fn command() -> String {
     let arguments = std::env::args_os().skip(1);
-    let words = arguments.map(|word| quoted(&word.to_string_lossy()));
+    let words = arguments.map(|word| shell_word(&word.to_string_lossy()));
     [heliostat::programs::LAB.to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }
 

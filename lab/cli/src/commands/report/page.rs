@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use anyhow::{Context, Result};
+use heliostat_files::shell_word;
 use heliostat_learn::comparison::EPISODES_MIN;
-use heliostat_reproduce::command::quoted;
 use serde_json::Value;
 
 use crate::commands::eval::{ABOVE_ONE, exceeds_one};
@@ -105,7 +105,7 @@ fn check(definition: &Definition, section: &Section, finished: &Finished) -> Res
 
 /// A command line for a shell.
 pub fn command(arguments: &[String]) -> String {
-    arguments.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+    arguments.iter().map(|word| shell_word(word)).collect::<Vec<_>>().join(" ")
 }
 
 /// The states and seeds behind the figures of `eval` and `calibrate`.

@@ -4,9 +4,9 @@ use std::io::Read;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
+use heliostat_files::shell_word;
 use heliostat_proto::{Nanos, NodeKind, Room, RoomGeometry, RoomTruth, SPEED_MAX_M_S, UserReport, decode};
 use heliostat_record::file::{self, Reading};
-use heliostat_reproduce::command::quoted;
 use heliostat_room::walks::figures;
 use heliostat_room::walks::rows::Row;
 use heliostat_room::walks::text::APART_S;
@@ -67,7 +67,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
 fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
     let Recorded { is_true, users, refused, jumps, .. } = recorded;
     let (out, count, duration_s) = (args.out.display().to_string(), users.len(), figures::duration_s(users));
-    let usage = format!("--set users.count={count} --set {}", quoted(&format!("users.trace={out}")));
+    let usage = format!("--set users.count={count} --set {}", shell_word(&format!("users.trace={out}")));
     let samples: usize = users.iter().map(|user| user.points.len()).sum();
     if args.json {
         let of_user = |user: &Track| json!({ "user": user.pedestrian, "from_s": user.start_s(), "to_s": user.end_s(), "positions": user.points.len() });

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use heliostat_files::{foreign_file, open_file};
+use heliostat_files::{foreign_text, open_file};
 use heliostat_room::walks::formats::{ColumnMap, ReadError, Source, WalkFormat, read};
 use heliostat_room::walks::placement::{Fit, place};
 use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
@@ -198,7 +198,7 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
         "--columns was given: expected the format csv, because the other formats have fixed columns"
     );
     let mut input = BufReader::new(open_file(&args.file)?);
-    if let Some(what) = foreign_file(input.fill_buf()?, "a text in UTF-8") {
+    if let Some(what) = foreign_text(input.fill_buf()?) {
         bail!("the file {what}");
     }
     read(&source, input, &mut |row| collector.add(row)).map_err(advised)?;

@@ -1,7 +1,7 @@
 //! What `heliostat-lab trace import` read, chose and wrote, as text or JSON.
 
 use anyhow::Result;
-use heliostat_reproduce::command::quoted;
+use heliostat_files::shell_word;
 use heliostat_room::walks::figures::{SpeedFigures, bounds, duration_s, rate_hz, speeds};
 use heliostat_room::walks::placement::Placement;
 use heliostat_room::walks::selection::{Presence, Selected};
@@ -117,9 +117,9 @@ fn speed_text(figures: Option<SpeedFigures>) -> String {
 
 /// A command that plays the walk, as a shell reads it.
 fn usage(report: &ImportReport) -> String {
-    let sets: String = report.overrides.iter().map(|set| format!(" --set {}", quoted(set))).collect();
-    let (scenario, users) = (quoted(&report.scenario), report.selected.users.len());
-    let trace = quoted(&format!("users.trace={}", report.out));
+    let sets: String = report.overrides.iter().map(|set| format!(" --set {}", shell_word(set))).collect();
+    let (scenario, users) = (shell_word(&report.scenario), report.selected.users.len());
+    let trace = shell_word(&format!("users.trace={}", report.out));
     format!("heliostat demo --scenario {scenario}{sets} --set users.count={users} --set {trace}")
 }
 

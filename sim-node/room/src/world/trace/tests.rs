@@ -127,6 +127,8 @@ fn errors_name_the_line() {
     assert!(error("0,2,1,1").contains("line 2: unknown user 2: expected 0 to 1"));
     assert!(error("0,0,2.6,1").contains("line 2: (2.6, 1) is outside"));
     assert!(error("1,0,1,1\n1,0,1,1").contains("line 3: time 1 of user 0 is not after 1"));
+    assert!(error("1,0,1,1\n1,0,1,1").ends_with("sort the rows by time"));
+    assert!(error("12:00:00,0,1,1").ends_with("write a date or a time of day as seconds"));
     assert!(error("1,0,1,1").contains("user 1 has no sample"));
     assert!(Trace::parse(&"t,".repeat(1000), 1, &FLOOR).unwrap_err().to_string().len() < 500);
     assert!(Trace::parse("t,u,x,y\n", 1, &FLOOR).unwrap_err().to_string().contains("line 1: invalid header `t,u,x,y`"));

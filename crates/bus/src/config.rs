@@ -369,6 +369,30 @@ impl BusArgs {
         flags.config(roles)
     }
 
+    /// A command that joins the same room in the same way, for an operator to copy. Where a shell would read a flag in
+    /// another way, such as a folder with a blank, words stand for the flags.
+    pub fn command(&self, name: &str, rest: &str) -> String {
+        match self.words() {
+            Some(words) if words.is_empty() => format!("{name} {rest}"),
+            Some(words) => format!("{name} {words} {rest}"),
+            None => format!("{name} {rest}, with the --room and the connection of this command"),
+        }
+    }
+
+    /// The flags, if each is plain in every shell.
+    fn words(&self) -> Option<String> {
+        let folder = self.tls.tls.as_ref().map(|folder| folder.to_str().unwrap_or(" "));
+        let named = [("--room", self.room.as_deref()), ("--tls", folder)];
+        let named = named.into_iter().filter_map(|(flag, value)| Some([flag, value?]));
+        let listen = self.listen.iter().map(|endpoint| ["--listen", endpoint.as_str()]);
+        let connect = self.connect.iter().map(|endpoint| ["--connect", endpoint.as_str()]);
+        let mut words: Vec<&str> = named.chain(listen).chain(connect).flatten().collect();
+        words.extend(self.client.then_some("--client"));
+        words.extend(self.tls.insecure.then_some("--insecure"));
+        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./:".contains(letter);
+        words.iter().all(|word| word.chars().all(is_plain)).then(|| words.join(" "))
+    }
+
     fn default_endpoint(&self) -> &'static str {
         if self.tls.tls.is_some() { DEFAULT_TLS_ENDPOINT } else { DEFAULT_ENDPOINT }
     }
@@ -416,6 +440,17 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+
+    #[test]
+    fn a_command_to_copy_joins_as_this_one_does() {
+        let connect = vec!["tcp/127.0.0.1:7448".to_owned()];
+        let mut flags = BusArgs { room: Some("foyer".into()), connect, client: true, ..BusArgs::default() };
+        let rearm = |flags: &BusArgs| flags.command("heliostat rearm", "--all");
+        assert_eq!(rearm(&BusArgs::default()), "heliostat rearm --all");
+        assert_eq!(rearm(&flags), "heliostat rearm --room foyer --connect tcp/127.0.0.1:7448 --client --all");
+        flags.tls.tls = Some("keys of foyer".into());
+        assert_eq!(rearm(&flags), "heliostat rearm --all, with the --room and the connection of this command");
+    }
 
     #[test]
     fn the_router_of_deploy_has_the_settings_of_every_router() {

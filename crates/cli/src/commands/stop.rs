@@ -342,7 +342,7 @@ impl OrderArgs {
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
             let text = with_stops(text, "the stop", stops);
-            (print_outcome(&format!("{text}\n{}", release_command(stops))), find_unrecorded())
+            (print_outcome(&format!("{text}\n{}", release_command(stops, &self.bus))), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {
@@ -414,12 +414,12 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
 }
 
 /// The command that releases these stops, for an operator who has just stopped the room.
-fn release_command(stops: &[RoomStop]) -> String {
+fn release_command(stops: &[RoomStop], bus: &BusArgs) -> String {
     let flag = match stops {
         [stop] => format!("--stop {}", stop.name),
         _ => "--stop NAME for one of them, or --all".to_owned(),
     };
-    format!("to release: heliostat rearm {flag}, with the --room and the connection of this command")
+    format!("to release: {}", bus.command("heliostat rearm", &flag))
 }
 
 /// A text, with one line for each stop, which begins with what it is.
@@ -463,13 +463,11 @@ mod tests {
     #[test]
     fn a_stop_names_the_command_that_releases_it_and_a_release_what_it_released() {
         let stop = stop(false);
-        let one = release_command(std::slice::from_ref(&stop));
-        assert!(one.starts_with("to release: heliostat rearm --stop 0000000000000000/0, "), "{one}");
-        let several = release_command(&[stop.clone(), stop.clone()]);
-        assert!(
-            several.starts_with("to release: heliostat rearm --stop NAME for one of them, or --all, "),
-            "{several}"
-        );
+        let bus = BusArgs::default();
+        let one = release_command(std::slice::from_ref(&stop), &bus);
+        assert_eq!(one, "to release: heliostat rearm --stop 0000000000000000/0");
+        let several = release_command(&[stop.clone(), stop.clone()], &bus);
+        assert_eq!(several, "to release: heliostat rearm --stop NAME for one of them, or --all");
         let released = with_stops("done".to_owned(), "released", &[stop]);
         assert_eq!(released, "done\nreleased: 0000000000000000/0: \"no record\"");
     }

@@ -401,7 +401,6 @@ impl RoomCore {
             InputKey::Stop => {
                 if let Some(order) = undecodable.decode::<EmergencyStop>(key, payload) {
                     controller.handle_stop_order(room_ns, &order);
-                    self.locked_repeater().forget(order.name());
                 }
             }
             InputKey::Geometry => {
@@ -468,6 +467,8 @@ impl RoomCore {
     fn list_stops(&mut self, now: Nanos) {
         let (mut unreported, mut is_stopped) = (Vec::new(), false);
         let room_ns = self.room_time_ns(now);
+        let waiting = self.locked_repeater().take_waiting();
+        waiting.iter().for_each(|order| self.controller.handle_stop_order(room_ns, order));
         for array in 0..self.controller.arrays() {
             is_stopped |= !self.controller.stops(array).is_empty();
             let is_older = !self.controller.understands_repetitions(room_ns, array);

@@ -3,10 +3,10 @@
 //!
 //! The core holds the stops; this is the list that is due for repetition. It has a lock of its own,
 //! so that a caller can repeat stops while a policy does not return: the order that then arrives is
-//! noted by [`note_order`](Repeater::note_order) until the core handles it.
+//! noted by [`note_order`](Repeater::note_order) until the core holds it.
 
 use heliostat_proto::{
-    EmergencyStop, Nanos, RoomGeometry, Stamp, StopAction, StopName, decode,
+    EmergencyStop, Nanos, RoomGeometry, Stamp, StopAction, decode,
     stop_hold::{HeldStop, STOP_REPEAT_NS, StopHold},
 };
 use heliostat_scenario::Scenario;
@@ -32,7 +32,7 @@ pub struct Repeater {
     /// The number of the last repetition to each array.
     sequences: Vec<u64>,
     unreported: Vec<Unreported>,
-    /// Orders that the core has not handled yet.
+    /// Orders that the core does not hold yet.
     waiting: StopHold,
     repeated_ns: Option<Nanos>,
 }
@@ -52,7 +52,7 @@ impl Repeater {
         }
     }
 
-    /// Notes the payload of an order that arrived at `now`, before the core handles it; true for a stop.
+    /// Notes the payload of an order that arrived at `now`, before the core holds it; true for a stop.
     pub fn note_order(&mut self, now: Nanos, payload: &[u8]) -> bool {
         // The core counts a payload that does not decode.
         decode::<EmergencyStop>(payload).is_ok_and(|order| {
@@ -61,9 +61,9 @@ impl Repeater {
         })
     }
 
-    /// The core has handled the order of this name.
-    pub(super) fn forget(&mut self, name: StopName) {
-        self.waiting.forget(name);
+    /// The noted orders, also those that a full queue has dropped: the core holds them from now on.
+    pub(super) fn take_waiting(&mut self) -> Vec<EmergencyStop> {
+        std::mem::take(&mut self.waiting).stops().iter().map(HeldStop::order).collect()
     }
 
     /// Replaces the list by what the core knows.

@@ -246,6 +246,20 @@ fn an_order_that_waits_for_a_policy_is_repeated_meanwhile() {
 }
 
 #[test]
+fn an_order_that_a_full_queue_has_dropped_is_held_and_ends_with_its_release() {
+    let mut core = live();
+    let start = Room::time(1);
+    core.repeater().lock().unwrap().note_order(start, &bytes(&stop()));
+    assert_eq!(wake(&mut core, start), [Output::StopRepetition(0)]);
+    assert_eq!(core.controller().stops(0).len(), 1);
+    let stamp = Stamp { source: DRIVER, sequence: 1, time_ns: start };
+    let released = StopReport { stamp, released: vec![stop().name()], ..StopReport::default() };
+    advance(&mut core, start, InputKey::Stops(0), &released);
+    assert_eq!(wake(&mut core, start + 300 * MS), []);
+    assert!(core.controller().stops(0).is_empty());
+}
+
+#[test]
 fn commands_without_a_sign_of_a_driver_are_noticed_by_liveliness() {
     let (mut core, mut room) = (live(), Room::new(&scenario(&[])));
     advance(&mut core, Room::time(1), report(Stream::Users), &room.positions(1));

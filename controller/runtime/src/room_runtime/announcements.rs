@@ -16,7 +16,7 @@ use heliostat_service::locks::{lock, try_lock};
 use super::decision_loop::DecisionLoop;
 
 /// Most messages that wait; beyond that the oldest announcement is dropped, because arrays repeat
-/// theirs. No process repeats a stop order to this one, or a token.
+/// theirs. No process repeats a stop order to this one, or a token; the [`Repeater`] has noted the order.
 const CAPACITY: usize = 256;
 
 /// A message that waits for the decision loop.

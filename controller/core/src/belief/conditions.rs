@@ -100,6 +100,13 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     if let Some((because, consequence)) = upright::counted_upright(scenario, model) {
         add(false, "the orientation of receivers that users hold", because, consequence);
     }
+    let because = upright::counted_tilted(scenario);
+    add(
+        because.is_none(),
+        "the assumed tilt of receivers that users hold",
+        because.unwrap_or_default(),
+        "expected gains are those of tilted receivers, so ratios are lower; describe the receivers by users.orientation, or set both angles of control.tilt to 0",
+    );
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
@@ -299,6 +306,7 @@ mod tests {
                 "sitting_azimuth_std_deg = 60, and the belief assumes 7.4 degrees",
             ),
             ("users.orientation.sitting_polar_std_deg=30", "sitting_polar_std_deg = 30, and the belief assumes 7.7"),
+            ("control.tilt={}", "without users.orientation every receiver faces up"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
             (
                 "mismatch.unknown_leds_m=[[1,1,3]]",

@@ -1,7 +1,8 @@
 //! Keys that a scenario sets to no effect, because another key replaces them or excludes their use.
 
 use heliostat_scenario::{
-    ChannelMode, Mismatch, MismatchLevel, MobilityModel, NoiseBudget, Receiver, ReceiverPreset, Scenario, Users,
+    ChannelMode, Mismatch, MismatchLevel, MobilityModel, NoiseBudget, Receiver, ReceiverPreset, Scenario, Streams,
+    Users,
 };
 
 use super::{Condition, walks};
@@ -9,8 +10,9 @@ use super::{Condition, walks};
 /// The keys of a scenario that are not at their defaults and change nothing.
 pub fn unused_keys(scenario: &Scenario) -> Vec<Condition> {
     let of_mismatch = of_mismatch(&scenario.mismatch).into_iter().collect();
-    [of_users(&scenario.users), of_walks(&scenario.users), of_tables(&scenario.users), of_link(scenario), of_mismatch]
-        .concat()
+    let users = &scenario.users;
+    let of_streams = of_streams(&scenario.streams);
+    [of_users(users), of_walks(users), of_tables(users), of_link(scenario), of_streams, of_mismatch].concat()
 }
 
 fn unused(key: &str, because: impl Into<String>, consequence: impl Into<String>) -> Condition {
@@ -74,6 +76,26 @@ fn of_walks(users: &Users) -> Vec<Condition> {
     let because = if users.trace.is_none() { "no model of a user reads it" } else { "users.trace replaces the models" };
     let unread = keys.into_iter().filter(|(_, is_set, is_read)| *is_set && !is_read);
     unread.map(|(key, ..)| unused(key, because, "the key has no effect; remove it, or choose another model")).collect()
+}
+
+/// Keys of losses and of the converter that need another key.
+fn of_streams(Streams { positions, channel, .. }: &Streams) -> Vec<Condition> {
+    let bursts = [
+        ("streams.positions", positions.loss, positions.loss_burst_reports),
+        ("streams.channel", channel.loss, channel.loss_burst_reports),
+    ];
+    let unread = bursts.into_iter().filter(|(_, loss, burst)| *loss == 0.0 && *burst != 0.0).map(|(table, ..)| {
+        let (key, because) = (format!("{table}.loss_burst_reports"), format!("{table}.loss = 0"));
+        unused(&key, because, "no report is lost; set the probability of a loss, or remove the key")
+    });
+    let full_scale = (channel.resolution_bits == 0 && channel.full_scale_gain != 0.0).then(|| {
+        unused(
+            "streams.channel.full_scale_gain",
+            "streams.channel.resolution_bits = 0",
+            "gains have no steps and no largest value; set resolution_bits, or remove the key",
+        )
+    });
+    unread.chain(full_scale).collect()
 }
 
 /// Parts of the room that would differ from the model.
@@ -181,6 +203,16 @@ mod tests {
             ("receiver.concentrator_index=1.7", "receiver.concentrator_index", "receiver.concentrator=true"),
             ("channel.literal=true", "channel.literal", "channel.mode=paper"),
             ("mismatch.kinds=[\"led\"]", "mismatch.kinds", "mismatch.level=rough"),
+            (
+                "streams.positions.loss_burst_reports=5",
+                "streams.positions.loss_burst_reports",
+                "streams.positions.loss=0.1",
+            ),
+            (
+                "streams.channel.full_scale_gain=2e-5",
+                "streams.channel.full_scale_gain",
+                "streams.channel.resolution_bits=10",
+            ),
         ] {
             assert_eq!(of(&[change]), [key], "{change}");
             assert_eq!(of(&[change, use_of_it]), [""; 0], "{change} {use_of_it}");

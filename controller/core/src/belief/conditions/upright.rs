@@ -1,4 +1,4 @@
-//! Receivers that users tilt, and that count as facing up.
+//! Receivers that users tilt and that count as facing up, and the reverse.
 
 use heliostat_channel::ChannelModel;
 use heliostat_scenario::{Belief, MobilityModel, Scenario};
@@ -50,6 +50,18 @@ pub(super) fn counted_upright(scenario: &Scenario, model: &ChannelModel) -> Opti
         )
     };
     is_heading_always_certain(scenario).then(|| (because(), ADVICE_TO_WALKING))
+}
+
+/// The key by which receivers that all face up count as tilted; `None` where some are tilted or their orientations are
+/// reported.
+pub(super) fn counted_tilted(scenario: &Scenario) -> Option<String> {
+    let assumed = scenario.control.tilt?;
+    if scenario.has_tilted_receivers() || super::ages::accepted_orientations(scenario).is_some() {
+        return None;
+    }
+    let angles = [("walking", assumed.walking_deg), ("sitting", assumed.sitting_deg)];
+    let (posture, angle_deg) = angles.into_iter().find(|(_, angle_deg)| *angle_deg > super::TILT_DIFFERENCE_DEG)?;
+    Some(format!("control.tilt.{posture}_deg = {angle_deg}, and without users.orientation every receiver faces up"))
 }
 
 /// Whether no user stands and no map of obstacles is kept: the gains over the mirrors and the tilt are then evaluated
@@ -109,6 +121,20 @@ mod tests {
         assert_eq!(of(&WALKING[1..]), None, "no user tilts a receiver");
         let mixture = "users.mixture=[{mobility=\"seated\",count=1},{mobility=\"random-waypoint\",share=1}]";
         assert_eq!(of(&[&WALKING[..], &["users.mobility=mixture", mixture]].concat()), None, "one user sits");
+    }
+
+    #[test]
+    fn receivers_that_face_up_count_as_tilted_by_the_assumed_angles() {
+        let of =
+            |overrides: &[&str]| counted_tilted(&Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap());
+        let found = of(&["control.tilt={}"]).unwrap();
+        assert!(found.starts_with("control.tilt.walking_deg = 29.67, and"), "{found}");
+        let up = ["control.tilt.walking_deg=0", "control.tilt.sitting_deg=0"];
+        for answer in [&up[..], &["control.tilt={}", "users.orientation={}"]] {
+            assert_eq!(of(answer), None, "{answer:?}");
+        }
+        let reported = ["control.tilt={}", "streams.orientation.rate_hz=10"];
+        assert_eq!([of(&[]), of(&reported)], [None, None]);
     }
 
     #[test]

@@ -87,9 +87,12 @@ impl Display {
     /// # Errors
     /// [`UiError::Terminal`] if the terminal is closed.
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
-        let (figures, stops) = (view.figures(), stops(&view.stops.room()));
+        let (mut figures, stops) = (view.figures(), stops(&view.stops.room()));
         match self {
-            Self::Lines(lines) => lines.take(&figures, &stops).iter().for_each(|line| lines.print(line)),
+            Self::Lines(lines) => {
+                lines.leave_out(&mut figures.notes, || view.notes_of_connection());
+                lines.take(&figures, &stops).iter().for_each(|line| lines.print(line));
+            }
             Self::Screen(screen) => {
                 let history: Vec<_> = view.history().into_iter().map(|(at, past)| (at, past.sum)).collect();
                 screen.screen.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
@@ -111,6 +114,14 @@ impl Display {
 }
 
 impl Lines {
+    /// Leaves out the notes about the connection, which the session itself writes to the log.
+    fn leave_out(&self, notes: &mut Vec<String>, of_connection: impl FnOnce() -> Vec<String>) {
+        if self.is_log {
+            let logged = of_connection();
+            notes.retain(|note| !logged.contains(note));
+        }
+    }
+
     /// The stops, if they have changed, the notes that begin or end, and the figures, unless their line is the one
     /// before.
     fn take(&mut self, figures: &Figures, stops: &[String]) -> Vec<Line> {
@@ -166,6 +177,16 @@ mod tests {
         /// The texts of the next lines.
         fn next(&mut self, figures: &Figures, stops: &[String]) -> Vec<String> {
             self.take(figures, stops).into_iter().map(|line| line.text).collect()
+        }
+    }
+
+    #[test]
+    fn a_log_has_one_line_about_a_lost_connection() {
+        for (is_log, expected) in [(true, &["no driver"][..]), (false, &["no router", "no driver"])] {
+            let lines = Lines { is_log, ..Lines::default() };
+            let mut notes = vec!["no router".to_owned(), "no driver".to_owned()];
+            lines.leave_out(&mut notes, || vec!["no router".to_owned()]);
+            assert_eq!(notes, expected);
         }
     }
 

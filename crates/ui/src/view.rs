@@ -113,6 +113,11 @@ impl View {
         Some(without_router(&router, self.bus.connection_problem()))
     }
 
+    /// The notes about the connection of this view, which its session logs too.
+    pub(crate) fn notes_of_connection(&self) -> Vec<String> {
+        self.notes_without_router().unwrap_or_else(|| self.bus.connection_problem().into_iter().collect())
+    }
+
     /// The room to draw. Takes the lock of the messages, so it must not be held.
     pub(crate) fn shown_room(&self) -> Arc<ShownRoom> {
         self.chooser.choose(self.announcements()).0

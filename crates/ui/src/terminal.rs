@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use heliostat_service::log_limit::EventLimit;
 use heliostat_service::output;
+use heliostat_service::terminal::takes_escapes;
 
 use crate::causes::{not_in, over};
 use crate::figures::Figures;
@@ -57,12 +58,12 @@ pub struct Screen {
 }
 
 impl Display {
-    /// A full-screen view if input and output are a terminal and `plain` is false, else lines.
+    /// A full-screen view if input and output are a terminal, one that is not dumb, and `plain` is false, else lines.
     ///
     /// # Errors
     /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
     pub fn open(plain: bool, title: &str) -> Result<Self, UiError> {
-        if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
+        if plain || !takes_escapes(&io::stdout()) || !io::stdin().is_terminal() {
             return Ok(Self::Lines(Lines::default()));
         }
         Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))

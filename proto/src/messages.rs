@@ -248,6 +248,9 @@ impl NodeStatus {
     /// at present.
     pub const OTHER_PROCESSES: &'static str = "other_processes";
 
+    /// State of a controller that refuses every position report; the last problem has the reason.
+    pub const REPORTS_REFUSED: &'static str = "position reports refused";
+
     /// Beginning of the problem of a controller whose commands reach no driver; keys follow, unless no array has one.
     pub const NO_DRIVER: &'static str = "no driver receives the commands";
 

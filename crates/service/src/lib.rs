@@ -39,6 +39,7 @@ pub mod process;
 pub mod signals;
 pub mod source_id;
 pub mod stop;
+pub mod terminal;
 mod waiting;
 pub mod whole_file;
 

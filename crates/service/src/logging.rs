@@ -7,7 +7,7 @@
 //! [`printable`](crate::printable).
 
 use std::fmt::{self, Debug};
-use std::io::{self, IsTerminal, Write, stderr};
+use std::io::{self, Write, stderr};
 
 use tracing::field::Field;
 use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
@@ -17,6 +17,7 @@ use tracing_subscriber::fmt::format::{Writer, debug_fn};
 
 use crate::printable::{printable, printable_lines};
 use crate::process::program_and_version;
+use crate::terminal::shows_colours;
 
 /// What is logged unless RUST_LOG says otherwise. Zenoh warns about discovery, which is switched off.
 const DEFAULT_FILTER: &str = "warn,zenoh=error,heliostat=info";
@@ -73,7 +74,7 @@ impl LogArgs {
             LogFormat::Text => log
                 .with_target(std::env::var_os(EnvFilter::DEFAULT_ENV).is_some())
                 .with_writer(writer)
-                .with_ansi(stderr().is_terminal())
+                .with_ansi(shows_colours(&stderr()))
                 .fmt_fields(debug_fn(write_field).delimited(" "))
                 .try_init(),
             LogFormat::Json => log.json().flatten_event(true).with_writer(move || Printable(writer.clone())).try_init(),

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::log_limit::EventLimit;
 use heliostat_service::output;
+use heliostat_service::terminal::takes_escapes;
 
 use crate::causes::NoteLines;
 use crate::figures::Figures;
@@ -58,12 +59,12 @@ pub struct Screen {
 }
 
 impl Display {
-    /// A full-screen view if input and output are a terminal and `plain` is false, else lines.
+    /// A full-screen view if input and output are a terminal, one that is not dumb, and `plain` is false, else lines.
     ///
     /// # Errors
     /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
     pub fn open(plain: bool, title: &str) -> Result<Self, UiError> {
-        if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
+        if plain || !takes_escapes(&io::stdout()) || !io::stdin().is_terminal() {
             return Ok(Self::Lines(Lines::default()));
         }
         Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))

@@ -337,7 +337,7 @@ impl Reporter {
             _ if summary.is_entirely_unfit() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 && !self.has_refused_positions => "waiting for position reports",
-            _ if summary.commands == self.commands && self.has_refused_positions => "position reports refused",
+            _ if summary.commands == self.commands && self.has_refused_positions => NodeStatus::REPORTS_REFUSED,
             _ if summary.decisions == self.decisions => "position reports stopped",
             _ if summary.driver_absent => {
                 return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));

@@ -29,6 +29,10 @@ const FIT_ARRAY: &str = "only the other arrays get its commands: start it with w
 const FIT_CONTROLLER: &str =
     "it sends no commands: start it with what this line names, or with the --scenario and --set of the room";
 
+/// What to do about reports that are refused.
+const CORRECT_REPORTS: &str =
+    "no report reaches a decision: correct what this line names, in the tracker or in its clock";
+
 /// What a running room answers.
 #[derive(Debug, Default)]
 pub(super) struct Answers {
@@ -51,6 +55,8 @@ pub(super) struct ControllerState {
     pub light: Vec<ServedLight>,
     /// The noise of its tracker.
     pub noise: Option<TrackerNoise>,
+    /// Why it refuses every position report.
+    pub refused: Option<String>,
     /// Which arrays get no commands: they do not fit its scenario.
     pub unfit: Option<UnfitArrays>,
 }
@@ -114,12 +120,19 @@ fn ask(bus: &Bus) -> Result<Answers, BusError> {
             name: controller_name(status.stamp.source),
             light: ServedLight::all_of(&status),
             noise: TrackerNoise::of(&status),
+            refused: refused(&status),
             unfit: unfit(&status),
             scenario: status.scenario,
             geometry: own.map(|geometry| geometry.scenario),
         }
     });
     Ok(Answers { controller, room: of_simulator.try_iter().last().map(|geometry| geometry.scenario) })
+}
+
+/// Why a controller refuses every position report.
+fn refused(status: &NodeStatus) -> Option<String> {
+    let is_refused = status.state == NodeStatus::REPORTS_REFUSED;
+    is_refused.then(|| format!("position reports are refused: {}", printable(&status.last_problem)))
 }
 
 /// Which arrays get no commands of a controller, because they do not fit its scenario.
@@ -142,8 +155,11 @@ fn check_state(state: &ControllerState) -> Vec<Check> {
     let is_every_unfit = state.unfit.as_ref().is_some_and(UnfitArrays::is_every);
     let advice = if is_every_unfit { FIT_CONTROLLER } else { FIT_ARRAY };
     let unfit = state.unfit.iter().map(|unfit| Check::fail("controller", unfit.found.clone(), advice));
-    let learned = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light));
-    unfit.chain(learned.filter(|_| !is_every_unfit)).collect()
+    let refused = state.refused.iter().map(|found| Check::fail("tracker", found.clone(), CORRECT_REPORTS));
+    // What it learned from the reports before says nothing about those that it refuses.
+    let noise = state.noise.iter().filter(|_| state.refused.is_none());
+    let learned = noise.map(check_tracker).chain(state.light.iter().map(check_light));
+    unfit.chain(refused).chain(learned.filter(|_| !is_every_unfit)).collect()
 }
 
 /// Whether the reports have the noise that the scenario states.
@@ -193,6 +209,23 @@ mod tests {
         assert_eq!(checks[0].advice, FIT_CONTROLLER);
         assert!(!state(1).fits(0) && state(0).fits(0));
         assert_eq!(check_state(&state(0))[0].verdict, Verdict::Warn, "the tracker");
+    }
+
+    #[test]
+    fn refused_reports_are_a_fault_in_place_of_the_noise_learned_before() {
+        let noise =
+            TrackerNoise { position_m: 1.0, position_stated_m: 0.0, velocity_m_s: 1.0, velocity_stated_m_s: 0.0 };
+        let found = |state: &str| {
+            let (state, last_problem) = (state.to_owned(), "users refused: a report is 60.0 s old".to_owned());
+            let status = NodeStatus { state, last_problem, ..NodeStatus::default() };
+            let state = ControllerState { noise: Some(noise), refused: refused(&status), ..ControllerState::default() };
+            let checks = check_state(&state);
+            assert_eq!(checks.len(), 1, "one line for the tracker");
+            (checks[0].verdict, checks[0].found.clone())
+        };
+        let text = "position reports are refused: users refused: a report is 60.0 s old".to_owned();
+        assert_eq!(found(NodeStatus::REPORTS_REFUSED), (Verdict::Fail, text));
+        assert_eq!(found("running").0, Verdict::Warn);
     }
 
     #[test]

@@ -32,6 +32,9 @@ pub struct Recording {
     /// The counts of received and missing messages as JSON; None in a file that was cut.
     #[pyo3(get)]
     account: Option<String>,
+    /// The first process of the room whose scenario is not the recorded one, as text; None without any.
+    #[pyo3(get)]
+    other_scenario: Option<String>,
     unreadable: Unreadable,
 }
 
@@ -86,12 +89,15 @@ impl Recording {
             }
         }
         let account = reading.account().map(str::to_owned);
+        let other = |message: &Arrived| other_scenario(&message.received, &header.scenario_hash);
+        let other_scenario = messages.iter().find_map(other);
         Ok(Self {
             messages,
             room: header.room,
             scenario: header.scenario,
             software: header.software,
             account,
+            other_scenario,
             unreadable: failed,
         })
     }
@@ -107,6 +113,13 @@ impl Recording {
         let messages = self.messages.iter().filter(|message| message.array == array);
         messages.filter_map(|message| select(&message.received).map(|found| (message.arrived_ns, found))).collect()
     }
+}
+
+/// A process whose status names another scenario than the recorded one.
+fn other_scenario(received: &Received, recorded: &str) -> Option<String> {
+    let Received::Status(status) = received else { return None };
+    let differs = !status.scenario.is_empty() && status.scenario != recorded;
+    differs.then(|| format!("{} uses scenario {}, the recording holds {recorded}", status.node, status.scenario))
 }
 
 /// The number of mirrors of all messages.

@@ -73,6 +73,28 @@ def test_a_recording_has_the_reports_commands_and_decisions_of_its_room(path: Pa
     assert decisions["answer_us"][3] == pytest.approx(apart_us)
 
 
+def test_a_recording_with_another_scenario_than_the_room_warns(tmp_path: Path) -> None:
+    program = os.environ.get("HELIOSTAT_PROGRAM")
+    if program is None:
+        pytest.skip("HELIOSTAT_PROGRAM names no program")
+    file, room = tmp_path / "room.mcap", free_endpoint()
+    commands = [
+        ["sim-node", "--listen", room, "--seconds", "5", "--scenario", "hall"],
+        ["record", "--connect", room, "--until-empty", "--out", str(file), "--scenario", "specular"],
+    ]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    processes = [subprocess.Popen([program, *command], **quiet) for command in commands]  # type: ignore[call-overload]
+    try:
+        for process in processes:
+            process.wait(60)
+    finally:
+        for process in processes:
+            process.kill()
+    with pytest.warns(RuntimeWarning, match=r"room.mcap: sim-node uses scenario \w+, the recording holds \w+: record with"):
+        recording = heliostat.Recording(file)
+    assert recording.scenario().name == "specular"
+
+
 def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
     truth = heliostat.Recording(path).truth()
     assert len(truth["user"]) > 50 and truth["position_m"].shape[1] == 3
@@ -130,7 +152,7 @@ def test_messages_that_cannot_be_read_warn(monkeypatch: pytest.MonkeyPatch, tmp_
     path = tmp_path / "later.mcap"
     path.touch()
     found = "messages that cannot be read: 3, the first one: payload of contract version 2"
-    stored = SimpleNamespace(account="{}", unreadable=found)
+    stored = SimpleNamespace(account="{}", unreadable=found, other_scenario=None)
     monkeypatch.setattr("heliostat.recording._Recording", lambda path: stored)
     with pytest.warns(RuntimeWarning, match=f"later.mcap: {found}"):
         heliostat.Recording(path)

@@ -38,8 +38,8 @@ def _component(name: str, index: int) -> str:
 class Recording:
     """A recording up to its end, or to its last complete chunk.
 
-    A file that was cut, and one with messages that cannot be read, warns with `RuntimeWarning`. A copy and a pickle hold the
-    path, and read the file again.
+    A file that was cut, one with messages that cannot be read, and one whose scenario is not that of each process of the
+    room, warns with `RuntimeWarning`. A copy and a pickle hold the path, and read the file again.
 
     Raises `FileNotFoundError` for a path without a file, and `ValueError` for a file that is not a recording of a room.
     """
@@ -54,6 +54,9 @@ class Recording:
             warnings.warn(cut, RuntimeWarning, stacklevel=2)
         if self._inner.unreadable is not None:
             warnings.warn(f"{os.fspath(path)}: {self._inner.unreadable}", RuntimeWarning, stacklevel=2)
+        if self._inner.other_scenario is not None:
+            other = f"{self._inner.other_scenario}: record with the --scenario, --set and --seed of the room"
+            warnings.warn(f"{os.fspath(path)}: {other}", RuntimeWarning, stacklevel=2)
 
     def __reduce__(self) -> tuple[type[Recording], tuple[str]]:
         return type(self), (self._path,)

@@ -79,6 +79,8 @@ fn scenario_check_applies_overrides() {
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
     let valid = check("users.count=3");
     assert!(valid.status.success() && text(valid.stdout).contains("3 users"));
+    let stated = text(check("blockage.forced_users=2").stdout);
+    assert!(stated.contains("\ncondition: the cause of a blocked path does not apply: "), "{stated}");
     let refused = check("users.count=99");
     let message = text(refused.stderr);
     assert!(refused.status.code() == Some(1) && message.contains("users.count = 99: expected"), "{message}");

@@ -15,11 +15,14 @@ const TEXT_MAX: u64 = 64 << 20;
 /// Opens a file.
 ///
 /// # Errors
-/// What the operating system reports, or a pipe outside `/dev`, which may never have a writer.
+/// What the operating system reports, a folder, or a pipe outside `/dev`, which may never have a writer.
 #[allow(clippy::disallowed_methods, reason = "the one place that opens the files of a flag or a scenario")]
 pub fn open_file(path: &Path) -> io::Result<File> {
     let kind = std::fs::metadata(path).map_err(|error| with_hint(error, path))?.file_type();
-    if !(kind.is_file() || kind.is_dir() || path.starts_with("/dev") || path.starts_with("/proc")) {
+    if kind.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::IsADirectory, "it is a folder: expected a file"));
+    }
+    if !(kind.is_file() || path.starts_with("/dev") || path.starts_with("/proc")) {
         return Err(io::Error::other("it is no regular file: expected one, or /dev/stdin for a pipe"));
     }
     File::open(path)
@@ -100,6 +103,16 @@ mod tests {
         }
         let error = open_file(Path::new("nowhere/walk.csv")).expect_err("no such file");
         assert!(error.raw_os_error().is_some(), "{error}");
+    }
+
+    #[test]
+    fn a_folder_is_refused_as_such() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let error = read_bytes(folder.path(), 1).expect_err("a folder");
+        assert_eq!(
+            (error.kind(), error.to_string().as_str()),
+            (io::ErrorKind::IsADirectory, "it is a folder: expected a file")
+        );
     }
 
     #[cfg(unix)]

@@ -52,7 +52,12 @@ fn unwritable(file: &Path, error: io::Error, expected: &str) -> anyhow::Error {
 /// # Errors
 /// [`UnusableInput`] for a file that exists; those of [`check_writable`].
 pub fn check_new(file: &Path) -> Result<()> {
-    let exists = || UnusableInput::new(format!("{} exists already: expected a new file", file.display()));
+    let exists = || {
+        UnusableInput::new(format!(
+            "{} exists already: expected a new file; name another one, or delete it",
+            file.display()
+        ))
+    };
     ensure!(!file.is_file(), exists());
     check_writable(file)
 }
@@ -253,7 +258,10 @@ mod tests {
         check_new(&file).expect("no file yet");
         fs::write(&file, "first").expect("written");
         let refusal = check_new(&file).expect_err("a file").to_string();
-        assert!(refusal.ends_with("walk.csv exists already: expected a new file"), "{refusal}");
+        assert!(
+            refusal.ends_with("walk.csv exists already: expected a new file; name another one, or delete it"),
+            "{refusal}"
+        );
         assert_eq!(fs::read_to_string(&file).expect("the file"), "first");
         if cfg!(unix) {
             check_new(Path::new("/dev/null")).expect("a device");

@@ -11,6 +11,7 @@ mod output;
 mod paths;
 mod sweep;
 
+use std::convert::Infallible;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -82,7 +83,7 @@ pub struct Args {
     /// Policies by name, paths of ONNX actors (FILE.onnx), or functions in Python (FILE.py:FUNCTION),
     /// separated by commas [default: ddpg if an actor fits, greedy, fixed-point, nearest, random, flat,
     /// no-irs]
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', value_parser = trimmed)]
     policies: Vec<String>,
     /// Leave out policies that have no actor for the room, instead of an error
     #[arg(long)]
@@ -347,4 +348,9 @@ pub fn run(args: Args) -> Result<()> {
         Some(grid) => output::print_sweep(grid, &reports)?,
     }
     Ok(())
+}
+
+/// A name without the spaces around it, as after a comma in quotation marks.
+fn trimmed(text: &str) -> Result<String, Infallible> {
+    Ok(text.trim().to_owned())
 }

@@ -84,6 +84,12 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
+#[test]
+fn spaces_around_the_names_of_policies_count_for_nothing() {
+    let report = report(&["--policies", "greedy, flat", "--states", "1", "--seeds", "1"]);
+    assert!(report["policies"]["flat"].is_object(), "{report}");
+}
+
 /// Exact reports and instant mirrors lose little; late and noisy reports lose more, a prediction
 /// recovers a part, and the filter recovers most.
 #[test]

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
+use heliostat_files::shell_word;
 use heliostat_proto::Room;
 use serde_json::{Map, Value};
 use zenoh::config::{Config, EndPoint};
@@ -369,28 +370,18 @@ impl BusArgs {
         flags.config(roles)
     }
 
-    /// A command that joins the same room in the same way, for an operator to copy. Where a shell would read a flag in
-    /// another way, such as a folder with a blank, words stand for the flags.
+    /// A command that joins the same room in the same way, for an operator to copy.
     pub fn command(&self, name: &str, rest: &str) -> String {
-        match self.words() {
-            Some(words) if words.is_empty() => format!("{name} {rest}"),
-            Some(words) => format!("{name} {words} {rest}"),
-            None => format!("{name} {rest}, with the --room and the connection of this command"),
-        }
-    }
-
-    /// The flags, if each is plain in every shell.
-    fn words(&self) -> Option<String> {
-        let folder = self.tls.tls.as_ref().map(|folder| folder.to_str().unwrap_or(" "));
-        let named = [("--room", self.room.as_deref()), ("--tls", folder)];
-        let named = named.into_iter().filter_map(|(flag, value)| Some([flag, value?]));
-        let listen = self.listen.iter().map(|endpoint| ["--listen", endpoint.as_str()]);
-        let connect = self.connect.iter().map(|endpoint| ["--connect", endpoint.as_str()]);
-        let mut words: Vec<&str> = named.chain(listen).chain(connect).flatten().collect();
-        words.extend(self.client.then_some("--client"));
-        words.extend(self.tls.insecure.then_some("--insecure"));
-        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./:".contains(letter);
-        words.iter().all(|word| word.chars().all(is_plain)).then(|| words.join(" "))
+        let folder = self.tls.tls.as_ref().map(|folder| folder.to_string_lossy().into_owned());
+        let named = [("--room", self.room.clone()), ("--tls", folder)];
+        let named = named.into_iter().filter_map(|(flag, value)| Some((flag, value?)));
+        let listen = self.listen.iter().map(|endpoint| ("--listen", endpoint.clone()));
+        let connect = self.connect.iter().map(|endpoint| ("--connect", endpoint.clone()));
+        let valued = named.chain(listen).chain(connect).map(|(flag, value)| format!("{flag} {}", shell_word(&value)));
+        let switches = [("--client", self.client), ("--insecure", self.tls.insecure)];
+        let switches = switches.into_iter().filter(|(_, is_set)| *is_set).map(|(flag, _)| flag.to_owned());
+        let flags: Vec<String> = valued.chain(switches).collect();
+        [&[name.to_owned()], &flags[..], &[rest.to_owned()]].concat().join(" ")
     }
 
     fn default_endpoint(&self) -> &'static str {
@@ -449,7 +440,8 @@ mod tests {
         assert_eq!(rearm(&BusArgs::default()), "heliostat rearm --all");
         assert_eq!(rearm(&flags), "heliostat rearm --room foyer --connect tcp/127.0.0.1:7448 --client --all");
         flags.tls.tls = Some("keys of foyer".into());
-        assert_eq!(rearm(&flags), "heliostat rearm --all, with the --room and the connection of this command");
+        let connect = "--connect tcp/127.0.0.1:7448";
+        assert_eq!(rearm(&flags), format!("heliostat rearm --room foyer --tls 'keys of foyer' {connect} --client --all"));
     }
 
     #[test]

@@ -18,7 +18,7 @@ from heliostat import wire
 from heliostat._core import Commander
 
 pytest.importorskip("zenoh")
-from heliostat.controller import _QUEUE_MAX, _Run, _Tokens
+from heliostat.controller import _QUEUE_MAX, RunSummary, _has_only_failed, _Run, _Tokens
 from heliostat.peer import PeerError, Settings, connection_problem, endpoints
 from heliostat.tracker import Tracker, User
 from room import LIMIT_S, Observer, free_endpoint, needs_program, observer, wait_until
@@ -117,6 +117,14 @@ def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(ans
     summary = summaries[0]
     assert summary.exceptions == summary.fallbacks > 0 and part in summary.last_problem, summary
     assert "<lambda>" in summary.last_problem, summary
+
+
+def test_a_function_has_only_failed_where_the_fallback_decided_after_each_call_whatever_the_standby() -> None:
+    counts = dict.fromkeys(RunSummary.__dataclass_fields__, 0)
+    counts |= {"decisions": 30, "commands": 28, "exceptions": 28, "fallbacks": 28, "standby": 2}
+    summary = RunSummary(**{**counts, "last_problem": ""})  # type: ignore[arg-type]
+    assert _has_only_failed(28, summary)
+    assert not _has_only_failed(29, summary)
 
 
 @needs_program

@@ -67,6 +67,17 @@ def test_the_parts_of_a_flat_observation_have_names() -> None:
         assert np.array_equal(flat[indices].reshape(shape), parts[name])
 
 
+def test_the_parts_of_a_belief_are_its_columns_and_the_observation_of_the_paper_has_none() -> None:
+    env = make(observation="belief")
+    belief, _ = env.reset(seed=1)
+    rows = belief.reshape(-1, len(heliostat.BELIEF_COLUMNS))
+    assert list(env.parts) == list(heliostat.BELIEF_COLUMNS)
+    for column, (indices, shape) in zip(rows.T, env.parts.values(), strict=True):
+        assert np.array_equal(belief[indices].reshape(shape), column)
+    with pytest.raises(ValueError, match='parts: the observation "paper" has none'):
+        _ = make("heliostat/Paper-v0").parts
+
+
 def test_an_episode_of_a_comparison_ends_with_its_samples() -> None:
     env = make("heliostat/Hall-v0")
     env.reset(options={"episode": (1, 30, 1)})

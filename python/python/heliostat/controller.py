@@ -115,8 +115,8 @@ def run(
 
     Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns of the conditions of the scenario, as
     `heliostat-lab eval --closed-loop` states them. Warns with `RuntimeWarning` where no mirror has turned: no tracker or no
-    array was in the room, or every command was withheld, as by a run that only stood by. The same where the fallback took
-    every decision.
+    array was in the room, or every command was withheld, as by a run that only stood by. The same where the fallback
+    decided after each call of the function.
     """
     from .peer import SHORTEST_S, Settings, endpoints, stop_on_signals
 
@@ -134,11 +134,16 @@ def run(
         summary = one.run(seconds)
     if reason := one.unmoved():
         warnings.warn(f"heliostat.run has turned no mirror: {printable(reason)}", RuntimeWarning, stacklevel=2)
-    elif summary.fallbacks == summary.decisions > 0:
+    elif _has_only_failed(one.calls, summary):
         reason = printable(summary.last_problem)
         text = f"heliostat.run has turned no mirror by the function, control.fallback decided each time: {reason}"
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     return summary
+
+
+def _has_only_failed(calls: int, summary: RunSummary) -> bool:
+    """Whether each call of the function failed, and the fallback decided. A decision that stands by calls no function."""
+    return summary.fallbacks > 0 and summary.exceptions >= calls
 
 
 def _keyword(flag: re.Match[str]) -> str:
@@ -196,7 +201,7 @@ class _Run:
         # The tokens of the other processes; why none answers, and when to look again.
         self._others: set[str] = set()
         self._unreachable, self._look_again = "", 0.0
-        self._late = self._dropped = 0
+        self.calls = self._late = self._dropped = 0
         self._began, self._heard, self._has_array = time.monotonic(), False, False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
         # The stops that wait, each once, apart from the messages that may be dropped.
@@ -208,6 +213,7 @@ class _Run:
 
     def _call(self, observation: NDArray[np.float32]) -> Any:
         begin = time.monotonic()
+        self.calls += 1
         try:
             action = np.ascontiguousarray(real("action", self._act(observation)), np.float32)
             if action.ndim != 1:

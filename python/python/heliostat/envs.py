@@ -29,7 +29,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ._checks import integer, one_of, outer_level, real, seed_of, states_of
-from ._core import Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
+from ._core import BELIEF_COLUMNS, Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
 from .names import ActionForm, Dynamics, ObservationForm, RenderMode, RewardForm
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario, override_texts
@@ -211,7 +211,8 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         action: "angles" (roll of each mirror, then yaw of each, over the range of an axis), the default, or "weights"
             (one for each slot; the decoder computes the angles). All components are in [-1, 1].
         observation: "flat" (the vector that the controller gives to an actor), the default, "dict" (its parts by name,
-            with the mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
+            with the mask of the slots), "belief" (the rows of all slots one after another, with the columns
+            `heliostat.BELIEF_COLUMNS`) or "paper".
         reward: "shortfall" (a rate below the minimum is penalised), the default, or "printed" (as in the paper).
         penalty: weight of the penalty, without unit, from 0; default 1.
         margin: factor on the minimum rates in the penalty, without unit, from 0; default 1.
@@ -406,7 +407,15 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
 
     @property
     def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
-        """The indices and the shape of each part of a flat observation, by name."""
+        """The indices and the shape of each part of a flat observation, or of each column of a belief, by name.
+
+        Raises `ValueError` for the observation "paper", which has no parts.
+        """
+        if self.observation_form == "paper":
+            raise ValueError('parts: the observation "paper" has none, expected "flat", "dict" or "belief"')
+        if self.observation_form == "belief":
+            columns, length = len(BELIEF_COLUMNS), self._batch.observation_len
+            return {name: (slice(index, length, columns), (self.slots,)) for index, name in enumerate(BELIEF_COLUMNS)}
         return {name: (slice(first, first + int(np.prod(shape))), shape) for name, first, shape in self._layout.parts}
 
     def close(self) -> None:

@@ -32,7 +32,8 @@ pub struct Args {
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, group = "positions")]
     user: Vec<String>,
     /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0) and aim:X,Y or
-    /// aim:X,Y,Z by the law of reflection in each mode, a policy (such as flat, nearest, greedy or ddpg), an ONNX actor (FILE.onnx), or a
+    /// aim:X,Y,Z by the law of reflection in each mode, a policy (such as flat, nearest, greedy or
+    /// ddpg), an ONNX actor (FILE.onnx), or a
     /// CSV with the header roll_deg,yaw_deg and one line for each mirror in index order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,

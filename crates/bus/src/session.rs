@@ -13,7 +13,7 @@ use zenoh::query::Queryable;
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::bounded_session::BoundedSession;
-use crate::config::{BusConfig, Reach};
+use crate::config::{BusConfig, Reach, Role};
 use crate::connection_watch::{ConnectionWatch, connections};
 use crate::error::BusError;
 use crate::resolve::first_unresolved;
@@ -21,6 +21,12 @@ use crate::tls_check::{first_encrypted, first_problem, unanswered};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
+
+/// Longest attempt of a client at one of several routers: one that is frozen accepts a connection and does not answer.
+const ATTEMPT_LIMIT: Duration = Duration::from_secs(2);
+
+/// What Zenoh's error of a connection that fails contains.
+const UNREACHED: &str = "nable to connect";
 
 /// Zenoh must be compiled so that the close of a connection does not wait for the other side. See
 /// `.cargo/config.toml`, which sets both variables to 0.
@@ -99,7 +105,7 @@ impl Bus {
     /// [`BusError`] names the fault of the configuration, the endpoint that does not answer, or the
     /// endpoint in use.
     pub fn open(config: &BusConfig) -> Result<Self, BusError> {
-        let zenoh_config = config.to_zenoh()?;
+        config.check()?;
         if config.is_exposed() {
             tracing::warn!(
                 listen = ?config.listen,
@@ -107,7 +113,7 @@ impl Bus {
                 "this session is neither encrypted nor authenticated: each process on its network can turn the mirrors; give --tls DIR"
             );
         }
-        let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
+        let session = if config.role == Role::Client { open_client(config)? } else { open_session(config)? };
         let start = || ConnectionWatch::start(session.clone(), config);
         let watch = (!config.connect.is_empty()).then(|| Arc::new(start()));
         Ok(Self { watch, session: BoundedSession::new(session), room: config.room.clone() })
@@ -400,6 +406,37 @@ fn without_locations(message: &str) -> String {
 }
 
 /// Derives the error from Zenoh's message, since Zenoh reports all failures as text.
+fn open_session(config: &BusConfig) -> Result<zenoh::Session, BusError> {
+    zenoh::open(config.to_zenoh()?).wait().map_err(|error| open_error(config, &error.to_string()))
+}
+
+/// Opens a session with the first of several routers that answers. Zenoh gives a new client its first endpoint alone, and
+/// the others after a loss.
+fn open_client(config: &BusConfig) -> Result<zenoh::Session, BusError> {
+    let limit = match config.reach {
+        Reach::Within(limit) => limit,
+        Reach::Eventually => Duration::MAX,
+    };
+    let endpoints = u32::try_from(config.connect.len()).unwrap_or(u32::MAX);
+    if endpoints < 2 {
+        return open_session(config);
+    }
+    let mut attempt = config.clone().reaching(Reach::Within(ATTEMPT_LIMIT.min(limit / endpoints)));
+    let begun = Instant::now();
+    while begun.elapsed() < limit {
+        for _ in 0..endpoints {
+            if unanswered(&attempt.connect[..1]).is_none()
+                && let Ok(session) = open_session(&attempt)
+            {
+                return Ok(session);
+            }
+            attempt.connect.rotate_left(1);
+        }
+        std::thread::sleep(CONNECTED_EVERY);
+    }
+    Err(open_error(config, UNREACHED))
+}
+
 fn open_error(config: &BusConfig, message: &str) -> BusError {
     let problem = &*without_locations(message);
     let named = |endpoints: &[String]| {
@@ -414,7 +451,7 @@ fn open_error(config: &BusConfig, message: &str) -> BusError {
         _ if concerns_listening => {
             BusError::CannotListen { endpoint: named(&config.listen), problem: problem.to_owned() }
         }
-        Reach::Within(limit) if problem.contains("nable to connect") => {
+        Reach::Within(limit) if problem.contains(UNREACHED) => {
             if let Some(problem) = Bus::find_unresolved(config) {
                 return BusError::Unresolved { problem };
             }

@@ -1,5 +1,6 @@
 //! Rooms that share a router, with the router configuration of deploy/.
 
+use std::net::TcpListener;
 use std::path::Path;
 use std::sync::mpsc::channel;
 use std::time::Duration;
@@ -51,17 +52,33 @@ fn clients_of_the_deployed_router_receive_messages_of_their_room_only() {
 }
 
 #[test]
+fn a_client_begins_with_the_router_that_answers_wherever_it_is_listed() {
+    let absent = free_loopback_endpoint().expect("a free port");
+    let frozen = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let frozen = format!("tcp/{}", frozen.local_addr().expect("bound"));
+    let answering = private_endpoint().expect("an endpoint");
+    let router = router(&answering);
+    let room = Room::new("lab").expect("a valid name");
+    let config = [absent, frozen, answering].iter().fold(BusConfig::new(room), |config, at| config.connect_to(at));
+    let config = BusConfig { role: Role::Client, ..config }.reaching(Reach::Within(LIMIT));
+    let client = Bus::open(&config).expect("one of three routers answers");
+    assert!(client.wait_connected(LIMIT));
+    router.close().wait().expect("the router closes");
+}
+
+fn router(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: &str| config.insert_json5(key, value).expect("a valid setting");
+    set("mode", "\"router\"");
+    set("scouting/multicast/enabled", "false");
+    set("listen/endpoints", &format!("[{endpoint:?}]"));
+    zenoh::open(config).wait().expect("the router opens")
+}
+
+#[test]
 fn a_client_that_has_lost_its_router_says_so_until_it_is_back() {
     let endpoint = free_loopback_endpoint().expect("a free port");
-    let router = || {
-        let mut config = zenoh::Config::default();
-        let mut set = |key: &str, value: &str| config.insert_json5(key, value).expect("a valid setting");
-        set("mode", "\"router\"");
-        set("scouting/multicast/enabled", "false");
-        set("listen/endpoints", &format!("[{endpoint:?}]"));
-        zenoh::open(config).wait().expect("the router opens")
-    };
-    let first = router();
+    let first = router(&endpoint);
     let client = client("lab", &endpoint);
     assert_eq!(client.lost_connection(), None);
     first.close().wait().expect("the router closes");
@@ -72,7 +89,7 @@ fn a_client_that_has_lost_its_router_says_so_until_it_is_back() {
     });
     assert!(lost.as_ref().is_some_and(|lost| lost.contains(&endpoint)), "{lost:?}");
     assert_eq!(client.lost_router().as_ref(), Some(&endpoint));
-    let second = router();
+    let second = router(&endpoint);
     wait_until("the return is noticed", || client.lost_connection().is_none());
     second.close().wait().expect("the router closes");
 }

@@ -181,8 +181,10 @@ export class Charts {
 
   // The names and colours of the line with the mirrors that are no longer those of the present.
   showEarlier() {
-    const earlier = new Map(this.stretches.map((stretch) => [nameOf(stretch), this.colourOf(stretch)]));
-    earlier.delete(nameOf(this.followed));
+    // The reasons for which no policy was followed have one colour.
+    const named = (stretch) => (stretch.name && stretch.idle ? "no policy followed" : nameOf(stretch));
+    const earlier = new Map(this.stretches.map((stretch) => [named(stretch), this.colourOf(stretch)]));
+    earlier.delete(named(this.followed));
     const before = this.earlier.offsetHeight;
     this.earlier.hidden = earlier.size === 0;
     this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {

@@ -76,15 +76,17 @@ export class Orders {
     const pressed = (buttons, value) => {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
+    // While the room says nothing, the buttons stay, and none is pressed.
+    const isKnown = now.origin !== "no-data";
     const count = Math.min(now.users.length, BLOCKED_MAX);
-    if (this.blocked.length !== count + 1) {
+    if (this.blocked.length !== count + 1 && (isKnown || !this.blocked.length)) {
       const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
       for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     }
     // Users come and go: the first ones of the table are named.
     for (const [button, users] of this.blocked) button.dataset.title = blockedTitle(now.users.slice(0, users));
-    pressed(this.blocked, now.users.filter((user) => user.forced).length);
+    pressed(this.blocked, isKnown ? now.users.filter((user) => user.forced).length : null);
     pressed(this.power, now.power_w);
     pressed(this.speed, now.speed_m_s);
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";

@@ -76,6 +76,23 @@ fn the_chart_of_the_sum_rates_begins_with_the_first_policy_that_the_mirrors_foll
 
 #[needs("browser")]
 #[test]
+fn the_number_of_blocked_paths_is_unknown_while_the_room_is_silent() {
+    let (setting, browser) = Setting::shown();
+    let pressed =
+        "return [...document.querySelectorAll('#blocked [aria-pressed=true]')].map(({ dataset }) => dataset.value)";
+    let buttons = "return document.querySelectorAll('#blocked button').length";
+    browser.click("#blocked [data-value='2']");
+    wait_until("two blocked paths", || browser.run(pressed) == serde_json::json!(["2"]));
+    let before = browser.run(buttons);
+    setting.room.signal("STOP");
+    wait_until("an unknown number", || browser.run(pressed) == serde_json::json!([]));
+    assert_eq!(browser.run(buttons), before);
+    setting.room.signal("CONT");
+    wait_until("the number again", || browser.run(pressed) == serde_json::json!(["2"]));
+}
+
+#[needs("browser")]
+#[test]
 fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_nothing() {
     let (_setting, browser) = Setting::shown();
     let filled = "return import('/charts.js').then(({ filled }) => { \

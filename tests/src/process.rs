@@ -138,7 +138,7 @@ impl Process {
 
     /// Whether this recorder has noted a process of the kind in its room.
     pub fn has_noted(&self, node: NodeKind) -> bool {
-        let noted = format!(": {node} ");
+        let noted = format!(" {node} ");
         self.errors().lines().any(|line| line.contains(&noted) && line.ends_with(" is alive"))
     }
 

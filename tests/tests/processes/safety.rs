@@ -301,7 +301,7 @@ fn a_driver_that_ends_obeys_a_stop_until_its_disk_has_had_its_time() {
     room.send(&room.observer.room().stop(), &EmergencyStop { stamp, ..EmergencyStop::default() });
     wait_until("a stopped board", || room.orders().last().is_some_and(|line| line == "stop"));
     let ended = driver.wait();
-    assert!(ended.errors.contains("the last emergency stop is not recorded"), "{}", ended.errors);
+    assert!(ended.errors.contains("ERROR the emergency stop is not recorded yet: its disk"), "{}", ended.errors);
 }
 
 #[cfg(unix)]

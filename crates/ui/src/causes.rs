@@ -29,8 +29,8 @@ pub(crate) const NO_CONTROLLER_SEEN: &str = "no controller: start one";
 
 /// Between a cause and what follows from it.
 const CONSEQUENCES: &str = "; it causes: ";
-/// State of arrays without telemetry; where others have some, the names follow.
-pub(crate) const NO_TELEMETRY: &str = "no telemetry";
+/// State of a part of the room that does not report. Of arrays the names follow, where others report.
+pub(crate) const NO_REPORT: &str = "no report";
 /// Between the names of arrays.
 pub(crate) const AND: &str = " and ";
 /// States of an array that receives no commands.
@@ -60,10 +60,10 @@ fn causes(cause: &str, text: &str) -> bool {
     is_uncommanding && state.is_some_and(|state| UNCOMMANDED.contains(&state))
 }
 
-/// The names of the arrays without telemetry, of which a state has nothing else to say; empty for all arrays.
+/// The names of the arrays that do not report, of which a state has nothing else to say; empty for all arrays.
 fn silent_arrays(state: &str) -> Option<&str> {
     let rest = state.strip_prefix(ArrayState::Following.name()).map_or(state, |rest| rest.trim_start_matches(", "));
-    match rest.strip_prefix(NO_TELEMETRY)? {
+    match rest.strip_prefix(NO_REPORT)? {
         "" => Some(""),
         of => of.strip_prefix(" of "),
     }
@@ -246,7 +246,7 @@ mod tests {
 
     #[test]
     fn a_lost_simulator_is_one_line_with_what_follows_from_it() {
-        let silent = format!("{NOT_FOLLOWING}: no telemetry");
+        let silent = format!("{NOT_FOLLOWING}: {NO_REPORT}");
         let reports = format!("{NO_REPORTS}: start the tracker");
         let driver = format!("{NO_DRIVER}: start a driver");
         let problems = |cause: &str| [reports.as_str(), cause, &silent, "another", &driver].map(str::to_owned).to_vec();
@@ -288,11 +288,9 @@ mod tests {
         let state = |state: &str| format!("{NOT_FOLLOWING}: {state}");
         let absent = format!("{NO_DRIVER} to mirrors-1: start its driver");
         let expected = format!("{absent}; it causes: {NOT_FOLLOWING}, no controller leads");
-        let silent = state("following, no telemetry of mirrors-1");
+        let silent = state("following, no report of mirrors-1");
         assert_eq!(folded(vec![silent.clone(), UNKNOWN_LEADER.to_owned(), absent]), [expected]);
-        for other in
-            ["following, no telemetry of mirrors-1 and mirrors-2", "fault, no telemetry of mirrors-1"].map(state)
-        {
+        for other in ["following, no report of mirrors-1 and mirrors-2", "fault, no report of mirrors-1"].map(state) {
             let absent = format!("{NO_DRIVER} to mirrors-1: start its driver");
             assert_eq!(folded(vec![absent.clone(), other.clone()]), [absent, other], "a part has another cause");
         }

@@ -7,7 +7,7 @@ use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
-use crate::causes::{NoteLines, follows_from_stop, without_figures};
+use crate::causes::{NO_REPORT, NoteLines, follows_from_stop, without_figures};
 use crate::controllers::{ControllerFigures, Role};
 use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
@@ -74,7 +74,7 @@ impl EventLog {
         let origin = match figures.origin {
             Origin::Simulated => "simulated",
             Origin::Measured => "measured",
-            Origin::NoData => "no data",
+            Origin::NoData => NO_REPORT,
         };
         self.change(at_ms, "room", origin, figures.origin == Origin::NoData);
         let is_moving = ["following", "holding"].iter().any(|state| figures.array.state.starts_with(state));

@@ -18,7 +18,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
-use crate::causes::{AND, NO_TELEMETRY, folded, follows_from, follows_from_stop, of_stopped, without_figures};
+use crate::causes::{AND, NO_REPORT, folded, follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Histogram;
@@ -47,7 +47,7 @@ pub enum Origin {
 /// The mirror array.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ArrayFigures {
-    /// Its state; "no telemetry" if none arrived recently. Of several arrays, the most serious state,
+    /// Its state; "no report" if none arrived recently. Of several arrays, the most serious state,
     /// then the arrays without recent telemetry.
     pub state: String,
     /// Number of arrays.
@@ -159,7 +159,7 @@ pub struct Figures {
     pub nodes: Vec<NodeFigures>,
     /// Decision, loop and age.
     pub times: Vec<TimeFigures>,
-    /// Histogram of the decision times of the last 30 s.
+    /// Histogram of the decision times of the last 30 s; empty before the first report of a controller.
     pub latency: Histogram,
     /// Why many of these decisions took longer than the budget, as far as their stages show it.
     pub late: Option<String>,
@@ -229,7 +229,7 @@ impl View {
                 time("loop", ROOM, last_room),
                 time("age", CONTROLLER, last_controller),
             ],
-            latency: received.latency.histogram(),
+            latency: received.decision_times(),
             late: received.latency.late(),
             counts: counts(&Counting {
                 controller: last_controller,
@@ -269,17 +269,13 @@ fn array(
 ) -> ArrayFigures {
     let (arrays, mirrors) = (model.mirrors.arrays().len(), model.mirrors.len());
     let Some(telemetry) = telemetry else {
-        return ArrayFigures { state: NO_TELEMETRY.into(), arrays, mirrors, silent, ..ArrayFigures::default() };
+        return ArrayFigures { state: NO_REPORT.into(), arrays, mirrors, silent, ..ArrayFigures::default() };
     };
     let state = telemetry.state.name();
     // An array knows its mirrors; the room that is shown can be another one.
     let mirrors = if telemetry.roll_commanded.is_empty() { mirrors } else { telemetry.roll_commanded.len() };
     ArrayFigures {
-        state: if silent.is_empty() {
-            state.into()
-        } else {
-            format!("{state}, {NO_TELEMETRY} of {}", silent.join(AND))
-        },
+        state: if silent.is_empty() { state.into() } else { format!("{state}, {NO_REPORT} of {}", silent.join(AND)) },
         arrays,
         mirrors,
         silent,

@@ -5,12 +5,11 @@ use heliostat_proto::{ArrayState, NodeKind};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
+use crate::causes::NO_REPORT;
 use crate::controllers::Role;
 use crate::notes::REPORTING;
 use crate::view::Received;
 
-/// The name while no array reports.
-const NO_REPORT: &str = "no report";
 /// The name while arrays follow commands, and none of a policy.
 const NO_POLICY: &str = "no policy";
 const CALIBRATION: &str = "calibration";

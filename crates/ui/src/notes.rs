@@ -332,7 +332,8 @@ mod tests {
         received.truth = Some((ago(60), RoomTruth::default()));
         let of_simulator = format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}");
         assert_eq!(received.notes(1, ago(60)), [of_simulator.as_str()], "both came from one process");
-        received.truth = Some((ago(70), RoomTruth::default()));
+        let stamp = Stamp { source: 9, ..Stamp::default() };
+        received.users = Some((ago(60), UserReport { stamp, ..UserReport::default() }));
         assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")], "a tracker came after the simulator");
     }
 

@@ -249,7 +249,7 @@ impl FrameBuilder {
         let belief = Received::fresh(&received.belief);
         let belief_of = |user, drawn_ns| belief.and_then(|report| Belief::of(report, user, drawn_ns));
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
-        if let Some(truth) = shown(&received.truth, is_over) {
+        if let Some(truth) = shown(&received.truth, is_over && received.is_simulated()) {
             let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
                 ObservedUser {

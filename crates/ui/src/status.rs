@@ -272,10 +272,10 @@ mod tests {
         assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
         let calibrated = figures(vec![controller(Role::Calibrates), controller(Role::StandsBy)]);
         assert_eq!(found(calibrated), [""; 0], "a calibration commands in place of the leader");
-        let absent = ArrayFigures { state: "no telemetry".into(), ..ArrayFigures::default() };
+        let absent = ArrayFigures { state: "no report".into(), ..ArrayFigures::default() };
         let absent = Figures { array: absent, ..figures(vec![controller(Role::Unheard)]) };
         let absent = RoomStatus { reports_per_s: 20.0, figures: absent, ..RoomStatus::default() };
-        assert_eq!(absent.found(), ["the array does not follow: no telemetry"], "one problem, of the array");
+        assert_eq!(absent.found(), ["the array does not follow: no report"], "one problem, of the array");
         assert!(absent.to_string().contains(" commands, but no array reports\n"), "{absent}");
         let json = serde_json::to_value(&absent).expect("numbers, texts and lists");
         assert_eq!(json["figures"]["controllers"][0]["role"], "unheard");
@@ -328,7 +328,7 @@ mod tests {
     #[test]
     fn a_cut_link_is_named_once_before_the_processes_that_are_missing() {
         let controllers = vec![ControllerFigures { role: Role::StandsBy, ..ControllerFigures::default() }];
-        let array = ArrayFigures { state: "no telemetry".into(), ..ArrayFigures::default() };
+        let array = ArrayFigures { state: "no report".into(), ..ArrayFigures::default() };
         let figures = Figures { controllers, array, notes: vec!["another note".into()], ..Figures::default() };
         let mut status = RoomStatus { figures, ..RoomStatus::default() };
         status.add_cause(None);

@@ -190,7 +190,7 @@ fn a_problem_is_not_over_because_its_process_has_left() {
     let mut now = figures("following", "two sources");
     now.array.faults = vec!["link"];
     log.note_at(1, &now, &[], &no_stop);
-    now.array = ArrayFigures { state: "no telemetry".into(), silent: vec!["mirrors".into()], ..Default::default() };
+    now.array = ArrayFigures { state: "no report".into(), silent: vec!["mirrors".into()], ..Default::default() };
     now.nodes[0] = NodeFigures { state: GONE.into(), problem: String::new(), ..now.nodes[0].clone() };
     log.note_at(2, &now, &[], &no_stop);
     assert!(!texts(&log).iter().any(|(_, text, _)| text.ends_with(": over")), "{:?}", texts(&log));

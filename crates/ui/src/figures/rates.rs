@@ -90,7 +90,9 @@ pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, 
         };
         return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
     }
-    let Some(report) = received.measured_users() else { return (Origin::NoData, 0, Vec::new()) };
+    let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
+    // Before the first truth, and where it is rare, the reports of a simulator have the users.
+    let origin = if received.is_simulated() { Origin::Simulated } else { Origin::Measured };
     let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
     let user = |user: &UserState| {
         let gains = channel.iter().find(|gains| gains.user == user.user);
@@ -107,7 +109,7 @@ pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, 
             min_rate_mbps: user.min_rate_bps * 1e-6,
         }
     };
-    (Origin::Measured, report.tick, report.users.iter().map(user).collect())
+    (origin, report.tick, report.users.iter().map(user).collect())
 }
 
 /// The rates of the users at the angles of the oracle, while the mirrors of a simulated room follow a policy.
@@ -142,7 +144,7 @@ fn sum_of(sum: &SumRates) -> SumFigures {
 mod tests {
     use std::time::{Duration, Instant};
 
-    use heliostat_proto::{ArrayState, MirrorTelemetry, NodeStatus, RoomTruth, UserReport};
+    use heliostat_proto::{ArrayState, MirrorTelemetry, NodeStatus, RoomTruth, Stamp, UserReport};
     use heliostat_scenario::Scenario;
 
     use super::*;
@@ -161,19 +163,25 @@ mod tests {
     }
 
     #[test]
-    fn a_simulator_that_falls_silent_leaves_no_measured_room() {
+    fn the_reports_of_a_simulator_are_those_of_a_simulated_room_also_without_a_recent_truth() {
         let model = Scenario::default().channel_model().expect("a model");
         let ago = |ms| Instant::now() - Duration::from_millis(ms);
-        let origin = |truth, reports| {
-            let truth = Some((truth, RoomTruth::default()));
-            let received = Received { truth, users: Some((reports, UserReport::default())), ..Received::default() };
-            users(&model, &received).0
+        let by = |source| Stamp { source, ..Stamp::default() };
+        let received = |truth: Option<Instant>, reports, source| Received {
+            truth: truth.map(|at| (at, RoomTruth { stamp: by(7), ..RoomTruth::default() })),
+            users: Some((reports, UserReport { stamp: by(source), ..UserReport::default() })),
+            ..Received::default()
         };
-        assert_eq!(origin(ago(100), ago(0)), Origin::Simulated);
-        // Its last report came after its last truth.
-        assert_eq!(origin(ago(3010), ago(2000)), Origin::Measured, "trackers go on");
-        assert_eq!(origin(ago(3010), ago(2900)), Origin::NoData);
-        assert_eq!(origin(ago(9000), ago(0)), Origin::Measured);
+        let origin = |truth, reports, source| users(&model, &received(truth, reports, source)).0;
+        assert_eq!(origin(Some(ago(100)), ago(0), 7), Origin::Simulated);
+        // A paused simulator that goes on publishes a report before its first truth.
+        assert_eq!(origin(Some(ago(9000)), ago(0), 7), Origin::Simulated);
+        assert_eq!(origin(Some(ago(9000)), ago(0), 8), Origin::Measured, "of a tracker that came after it");
+        assert_eq!(origin(Some(ago(3010)), ago(3010), 7), Origin::NoData);
+        assert_eq!(origin(None, ago(0), 7), Origin::Measured);
+        let mut starting = received(None, ago(0), 7);
+        starting.alive.insert((NodeKind::SimNode.name(), 7));
+        assert_eq!(users(&model, &starting).0, Origin::Simulated, "of a simulator that has just started");
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::expiry::EXPIRY;
 use crate::in_charge::InCharge;
-use crate::latency::Window;
+use crate::latency::{Histogram, Window};
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements};
 use crate::telemetry_ages::TelemetryAges;
@@ -24,10 +24,6 @@ use crate::telemetry_ages::TelemetryAges;
 const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
-
-/// Reports of users that arrive this long after the last truth are those of trackers: a simulated room sends both at
-/// a time.
-const MEASURED_AFTER: Duration = Duration::from_secs(1);
 
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
@@ -100,24 +96,21 @@ impl Received {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
-    /// The report of the users of a room that is not simulated, unless it is old. The last report of a simulator that
-    /// has fallen silent is none.
-    pub fn measured_users(&self) -> Option<&UserReport> {
-        let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
-        let is_measured =
-            |(of_truth, _): &(Instant, RoomTruth)| of_truth.elapsed() >= EXPIRY && is_after(*of_truth, *at);
-        self.truth.as_ref().is_none_or(is_measured).then_some(users)
-    }
-
-    /// Whether the last positions, of any age, are those of a simulated room.
+    /// Whether the last positions, of any age, are those of a simulator: of one that is in the room, or of the one that
+    /// published the last truth. A simulator gives its reports and its truth the same source.
     pub fn is_simulated(&self) -> bool {
-        let is_later = |of_truth| self.users.as_ref().is_some_and(|(at, _)| is_after(of_truth, *at));
-        self.truth.as_ref().is_some_and(|(of_truth, _)| !is_later(*of_truth))
+        let of_truth = self.truth.as_ref().map(|(_, truth)| truth.stamp.source);
+        let of_users = self.users.as_ref().map(|(_, users)| users.stamp.source);
+        let is_present = |source| self.alive.contains(&(NodeKind::SimNode.name(), source));
+        match of_users {
+            Some(source) => of_truth == Some(source) || is_present(source),
+            None => of_truth.is_some(),
+        }
     }
 
     /// Whether a recent message has the positions of the users.
     pub fn has_users(&self) -> bool {
-        Self::fresh(&self.truth).is_some() || self.measured_users().is_some()
+        Self::fresh(&self.truth).is_some() || Self::fresh(&self.users).is_some()
     }
 
     /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array
@@ -154,6 +147,11 @@ impl Received {
             |source: u64| self.controllers.has_reported(source) || self.last_controller() == Some(source);
         let mut present = self.alive.iter().filter_map(of_controller).peekable();
         present.peek().is_some() && !present.any(has_reported)
+    }
+
+    /// The decision times of the last 30 s. Those of a predecessor are none of a controller that has just started.
+    pub fn decision_times(&self) -> Histogram {
+        if self.awaits_controller() { Histogram::default() } else { self.latency.histogram() }
     }
 
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
@@ -275,11 +273,6 @@ impl Received {
     }
 }
 
-/// Whether a report of users is that of a tracker, by the arrivals of the last truth and of the report.
-fn is_after(of_truth: Instant, of_users: Instant) -> bool {
-    of_users.saturating_duration_since(of_truth) >= MEASURED_AFTER
-}
-
 /// Keeps an announcement; an unchanged text keeps its memory.
 pub(super) fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
     let known = kept.take().map(|(_, known)| known).filter(|known| **known == *text);
@@ -303,6 +296,18 @@ mod tests {
     fn shown(received: &Received) -> (u64, u64) {
         let status = received.fresh_status(NodeKind::Controller.name()).expect("a fresh status");
         (status.stamp.source, status.counters[0].1)
+    }
+
+    #[test]
+    fn a_controller_that_has_just_started_has_no_decision_times_of_its_predecessor() {
+        let (mut received, name) = (Received::default(), NodeKind::Controller.name());
+        received.alive.insert((name, 1));
+        let mut first = status(1, 500, 0);
+        first.counters.push(("decision_us_le:500".into(), 500));
+        received.take_status(0, first);
+        assert_ne!(received.decision_times(), Histogram::default());
+        received.alive = BTreeSet::from([(name, 2)]);
+        assert_eq!(received.decision_times(), Histogram::default());
     }
 
     #[test]

@@ -90,7 +90,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
         later.request();
         second_driver.join().expect("no panic").expect("a driver that ends");
         wait_until("a state that is not green", || {
-            arrays(&browser) == (false, "following, no telemetry of mirrors-1, 8 unusable".into())
+            arrays(&browser) == (false, "following, no report of mirrors-1, 8 unusable".into())
         });
         wait_until("mirrors of unknown angles", || unusable() == json!([6, 7, 8, 9, 10, 11, 12, 13]));
         assert_eq!(shown(&browser, "room.motion.to.serves.slice(6)"), json!([-1, -1, -1, -1, -1, -1, -1, -1]));

@@ -93,21 +93,19 @@ export class Charts {
     for (const chart of [this.sum, this.latency]) observer.observe(chart);
   }
 
-  theme(dark) {
-    this.ink = dark ? "#e9ecef" : "#1a1e23";
-    this.card = dark ? "#181d23cc" : "#ffffffcc";
-    this.grid = dark ? "#2e3740" : "#e2e6ea";
-    this.muted = dark ? "#a0aab5" : "#59626d";
-    this.flat = dark ? "#7d7d7d" : "#666666";
-    this.idle = dark ? "#c08a4a" : "#8c510a";
-    this.unknown = dark ? "#b18cf0" : "#7b3fc4";
+  // The colours of the style sheet.
+  theme() {
+    const style = getComputedStyle(document.documentElement);
+    const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+    [this.ink, this.card, this.grid, this.muted] = ["text", "card", "line", "muted"].map(colour);
+    [this.flat, this.idle, this.unknown] = ["flat", "idle", "unknown"].map(colour);
     this.redraw.reset();
   }
 
   // `followed` is what the mirrors follow: its name, and why it is not the policy.
   update(now, followed) {
     this.followed = { name: followed.name, idle: followed.idle !== "" };
-    if (now.sum_mbps && now.origin !== "no-data") {
+    if (now.sum_mbps) {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...this.followed, ...now.sum_mbps });
       if (newest && isGap(newest, now)) this.fillGaps();
@@ -179,16 +177,18 @@ export class Charts {
     });
   }
 
-  // The names and colours of the line with the mirrors that are no longer those of the present.
+  // The names and colours of the line with the mirrors before the present ones, each with its end.
   showEarlier() {
     // The reasons for which no policy was followed have one colour.
     const named = (stretch) => (stretch.name && stretch.idle ? "no policy followed" : nameOf(stretch));
-    const earlier = new Map(this.stretches.map((stretch) => [named(stretch), this.colourOf(stretch)]));
+    const earlier = new Map(this.stretches.map((stretch, index) => [
+      named(stretch), { colour: this.colourOf(stretch), end_s: -(this.stretches[index + 1]?.from_s ?? 0) },
+    ]));
     earlier.delete(named(this.followed));
     const before = this.earlier.offsetHeight;
     this.earlier.hidden = earlier.size === 0;
-    this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {
-      const mark = Object.assign(document.createElement("span"), { textContent: name });
+    this.earlier.replaceChildren(...[...earlier].map(([name, { colour, end_s }]) => {
+      const mark = Object.assign(document.createElement("span"), { textContent: `${name} until ${end_s.toFixed(0)} s ago` });
       mark.style.setProperty("--swatch", colour);
       return mark;
     }));
@@ -266,9 +266,11 @@ export class Charts {
     }, data, text);
   }
 
+  // There are no buckets before the first report of a controller.
   drawLatency({ edges_us, counts }) {
     const total = counts.reduce((sum, count) => sum + count, 0);
     const within = edges_us.filter((edge) => edge <= this.budget).length;
+    this.edges = edges_us;
     const shares = counts.map((count) => (total ? (100 * count) / total : 0));
     const data = [
       counts.map((_, index) => index),
@@ -281,27 +283,29 @@ export class Charts {
     const series = (colour) => ({ stroke: colour, fill: colour, width: 0, paths: bars, points: { show: false } });
     const text = (index) => {
       const [, ...halves] = this.latencyPlot.data;
-      const bucket = index < edges_us.length ? `up to ${edges_us[index]} µs` : `over ${edges_us.at(-1)} µs`;
+      const bucket = index < this.edges.length ? `up to ${this.edges[index]} µs` : `over ${this.edges.at(-1)} µs`;
       return `${bucket}: ${(halves[0][index] ?? halves[1][index] ?? 0).toFixed(2)} %`;
     };
     this.latencyPlot = this.plot(this.latency, {
-      scales: { x: { time: false, range: [-0.5, Math.max(1, counts.length) - 0.5] }, y: this.fromZero() },
+      scales: { x: { time: false, range: () => [-0.5, this.edges.length + 0.5] }, y: this.fromZero() },
       series: [{}, series("#56b4e9"), series("#d55e00")],
       axes: [
         // The edges lie between the buckets.
         this.axis("", {
-          splits: () => edges_us.map((_, index) => index + 0.5), values: () => edges_us.map(short), font: SMALL_FONT, grid: { show: false },
+          splits: () => this.edges.map((_, index) => index + 0.5), values: () => this.edges.map(short), font: SMALL_FONT, grid: { show: false },
         }),
         this.axis("%", { size: 26, space: 16 }),
       ],
-      hooks: { draw: [(plot) => this.drawLimit(plot, within - 0.5)] },
+      hooks: { draw: [(plot) => this.drawLimit(plot)] },
     }, data, text);
   }
 
   // The time limit lies between two buckets.
-  drawLimit(plot, at) {
+  drawLimit(plot) {
     const { ctx, bbox } = plot;
-    const x = Math.round(plot.valToPos(at, "x", true));
+    const within = this.edges.filter((edge) => edge <= this.budget).length;
+    if (within === 0) return;
+    const x = Math.round(plot.valToPos(within - 0.5, "x", true));
     ctx.save();
     ctx.strokeStyle = ctx.fillStyle = this.ink;
     ctx.lineWidth = 2 * uPlot.pxRatio;
@@ -314,7 +318,7 @@ export class Charts {
     ctx.stroke();
     // Legible before the bars too.
     const limit = `${this.budget / 1000} ms`;
-    ctx.fillStyle = this.card;
+    ctx.fillStyle = `${this.card}cc`;
     ctx.fillRect(x + 2 * uPlot.pxRatio, bbox.top, ctx.measureText(limit).width + 4 * uPlot.pxRatio, 13 * uPlot.pxRatio);
     ctx.fillStyle = this.ink;
     ctx.fillText(limit, x + 4 * uPlot.pxRatio, bbox.top);

@@ -1,7 +1,7 @@
 // The figures beside the room: state chips, users, counters, times and problems.
 import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
-import { asSentence, inCharge, isCalibrating, refusal, seconds } from "./sentence.js";
+import { asSentence, duration, isCalibrating, noReport, refusal } from "./sentence.js";
 
 export const at = (id) => document.getElementById(id);
 export const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -21,8 +21,8 @@ export function networkIn(hash, file) {
 
 // The state of each process; a state that is old or unknown is never green.
 export function chips(now, ages, file) {
-  const silent = (process) => (ages.of(process) === Infinity ? "no report" : `no report for ${seconds(ages.of(process))}`);
-  const { name, idle } = inCharge(now, ages.of("array"));
+  const silent = (process) => noReport(ages.of(process));
+  const { name, idle } = now.in_charge;
   const isSilent = ages.isStale("controller") || !now.controller_alive;
   const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
   chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "");
@@ -38,7 +38,7 @@ export function chips(now, ages, file) {
   setTitle(at("chip-array"), stuck ? `${now.array.state}${stuck} of ${now.array.mirrors} mirrors` : now.array.state);
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
   else chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
-  if (ages.isStale("room") || now.origin === "no-data") chip("chip-room", silent("room"), "bad");
+  if (ages.isStale("room")) chip("chip-room", silent("room"), "bad");
   else chip("chip-room", now.origin);
 }
 
@@ -123,7 +123,7 @@ function outageText(outage) {
 export function outageLengths(outage) {
   if (outage === null) return "";
   const { observed_s, count, p50_s, p95_s } = outage;
-  const within = `in the last ${seconds(observed_s)}`;
+  const within = `in the last ${duration(observed_s)}`;
   if (count === 0) return `no outage ${within}`;
   return `${count} ${count === 1 ? "outage" : "outages"} ${within}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
 }
@@ -199,12 +199,19 @@ function standby(controllers) {
 export function problems(now) {
   const isSaid = ({ problem }) => now.orders.some(({ reason }) => reason && problem.endsWith(reason));
   const ofProcesses = now.nodes.filter((node) => node.problem && !isSaid(node)).map((node) => `${node.node}: ${node.problem}`);
-  lines(at("problem"), [...now.notes, ...ofProcesses]);
+  listProblems([...now.notes, ...ofProcesses]);
   lines(at("remark"), now.remarks);
 }
 
 // After the end of the server no problem is a present one; the log of events keeps them.
-export const clearProblems = () => lines(at("problem"), []);
+export const clearProblems = () => listProblems([]);
+
+// On a phone the list scrolls away, and its first line, the most serious one, stays beside STOP.
+function listProblems(texts) {
+  lines(at("problem"), texts);
+  at("worst").hidden = texts.length === 0;
+  setText(at("worst"), texts.length ? asSentence(texts[0]) : "");
+}
 
 function lines(list, texts) {
   const lines = texts.map(asSentence);
@@ -234,7 +241,7 @@ function servedLight(light) {
 // The process that counts, and since when: the counters of the list are of several processes.
 export function countedBy({ process, minutes }) {
   if (!process) return "";
-  const ago = minutes === 0 ? "less than a minute" : minutes < 120 ? `${minutes} min` : `${Math.floor(minutes / 60)} h`;
+  const ago = minutes === 0 ? "less than a minute" : duration(60 * minutes);
   return `Counted since the start of ${process}${minutes === null ? "" : `, ${ago} ago`}.`;
 }
 

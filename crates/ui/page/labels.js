@@ -7,8 +7,7 @@ const ROUNDS = 8;
 
 // A text that faces the camera and has the same size at every distance.
 export class Label {
-  constructor(colours, colour) {
-    this.colours = colours;
+  constructor(colour) {
     this.colour = colour;
     this.canvas = document.createElement("canvas");
     [this.canvas.width, this.canvas.height] = [96, 48];

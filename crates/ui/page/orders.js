@@ -2,15 +2,13 @@
 // buttons shows the answer of the process that received the order, never the click.
 
 import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
+import { STALE_S } from "./sentence.js";
 
 const POWERS_W = [0.5, 1, 2, 4];
 const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
 const BLOCKED_MAX = 8;
 // A message of the page itself, for example without a connection, is shown this long.
 const OWN_MESSAGE_MS = 10000;
-// The server shows an answer for this time, and so does the page while the server is silent.
-const ANSWER_S = 5;
-const REFUSAL_S = 20;
 // An order without an answer of the server ends after this time.
 const ORDER_LIMIT_MS = 6000;
 
@@ -66,8 +64,6 @@ export class Orders {
     }
   }
 
-  theme() {}
-
   // Shows the published state.
   update(now) {
     this.answers(now.orders);
@@ -76,8 +72,8 @@ export class Orders {
     const pressed = (buttons, value) => {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
-    // While the room says nothing, the buttons stay, and none is pressed.
-    const isKnown = now.origin !== "no-data";
+    // While the room is silent, the buttons stay, and none is pressed.
+    const isKnown = now.ages_s.room != null && now.ages_s.room <= STALE_S;
     const count = Math.min(now.users.length, BLOCKED_MAX);
     if (this.blocked.length !== count + 1 && (isKnown || !this.blocked.length)) {
       const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
@@ -87,16 +83,17 @@ export class Orders {
     // Users come and go: the first ones of the table are named.
     for (const [button, users] of this.blocked) button.dataset.title = blockedTitle(now.users.slice(0, users));
     pressed(this.blocked, isKnown ? now.users.filter((user) => user.forced).length : null);
-    pressed(this.power, now.power_w);
-    pressed(this.speed, now.speed_m_s);
+    pressed(this.power, isKnown ? now.power_w : null);
+    pressed(this.speed, isKnown ? now.speed_m_s : null);
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
     if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
     const limit = this.plan.stop_only;
     const simulated = now.origin === "simulated";
+    const refused = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
     const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
     for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
       button.disabled = !!limit || !simulated;
-      button.title = limit ?? (simulated ? button.dataset.title ?? "" : "only a simulated room takes this order");
+      button.title = limit ?? (simulated ? button.dataset.title ?? "" : refused);
     }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);
@@ -173,9 +170,9 @@ export class Orders {
     this.show();
   }
 
-  // Ends what is shown for long enough, by the time since the last event of the server in s.
+  // Ends the answer of a server that is silent, by the time since its last event in s: the server ends the others.
   age(silence) {
-    if (silence > (this.newest?.state === "refused" ? REFUSAL_S : ANSWER_S)) this.newest = null;
+    if (silence > STALE_S) this.newest = null;
     this.show();
   }
 

@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, endBanner, inCharge, lastSentence, sentence, spoken } from "./sentence.js";
+import { banner, endBanner, lastSentence, sentence, spoken } from "./sentence.js";
 import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -92,7 +92,8 @@ async function start() {
   orders.check();
   openEvents();
   openTips();
-  const parts = [room, charts, orders];
+  at("worst").addEventListener("click", () => at("problem").scrollIntoView());
+  const parts = [room, charts];
   const retheme = () => applyTheme(parts);
   retheme();
   systemDark.addEventListener("change", retheme);
@@ -120,7 +121,7 @@ async function start() {
       state.now = now;
       keepColours(state);
       state.ages.take(now);
-      charts.update(now, inCharge(now, state.ages.of("array")));
+      charts.update(now, now.in_charge);
       showUsers();
       counters(now);
       problems(now);
@@ -160,6 +161,7 @@ async function start() {
 }
 
 start().catch((error) => {
+  at("awaited").hidden = true;
   at("banner").hidden = false;
   at("banner").dataset.kind = "bad";
   setText(at("banner"), notStarted(error));

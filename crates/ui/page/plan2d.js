@@ -9,7 +9,7 @@ export class Plan2D {
     this.plan = plan;
     this.element = element;
     this.canvas = document.createElement("canvas");
-    element.replaceChildren(this.canvas);
+    element.append(this.canvas);
     element.setAttribute("aria-label", "The room from above");
     this.brush = this.canvas.getContext("2d");
     this.heat = null;

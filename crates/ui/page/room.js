@@ -1,6 +1,6 @@
 // The view of the room: takes the frames of the server, and draws them at the rate of the display.
 import { Motion } from "./motion.js";
-import { boundsOf, palette } from "./geometry.js";
+import { LIGHT, UNUSABLE, UNUSED, boundsOf, palette } from "./geometry.js";
 import { PAUSE } from "./redraw.js";
 import { Plan2D } from "./plan2d.js";
 import { ask } from "./requests.js";
@@ -24,6 +24,8 @@ export class Room {
     this.nextDraw = 0;
     const changed = () => { this.isDirty = true; };
     const bounds = boundsOf(plan);
+    // Covers the canvas until it has a picture: a browser may show an empty one as black.
+    this.awaited = document.getElementById("awaited");
     this.view = View3D.create(element, plan, bounds, changed) ?? new Plan2D(element, plan);
     this.is3D = this.view instanceof View3D;
     document.documentElement.dataset.view = this.is3D ? "3d" : "2d";
@@ -47,8 +49,10 @@ export class Room {
   theme(dark) {
     this.view.theme(dark);
     // The legend has the colours of the picture.
-    document.querySelector("#legend .blocked").style.borderColor = palette(dark).blocked;
-    document.querySelector("#legend .obstacle").style.background = palette(dark).obstacle;
+    const { blocked, obstacle } = palette(dark);
+    const mark = (name) => document.querySelector(`#legend .${name}`).style;
+    mark("blocked").borderColor = blocked;
+    for (const [name, colour] of Object.entries({ obstacle, unused: UNUSED, unusable: UNUSABLE, direct: LIGHT })) mark(name).background = colour;
     this.isDirty = true;
   }
 
@@ -96,8 +100,10 @@ export class Room {
       this.isDirty = false;
       this.draw(now, seconds);
       const begun = performance.now();
+      const hasRoom = this.motion.to !== null;
       // The second callback runs after the picture was painted.
       requestAnimationFrame(() => requestAnimationFrame((painted) => {
+        if (hasRoom) this.awaited.hidden = true;
         const took = painted - begun;
         this.nextDraw = took > SLOW_MS ? painted + PAUSE * took : 0;
       }));

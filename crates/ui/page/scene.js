@@ -169,7 +169,7 @@ export class RoomScene {
       new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: BODY_OPACITY, depthWrite: false }),
     );
     const detector = new THREE.Mesh(new THREE.SphereGeometry(0.075, 20, 14), new THREE.MeshLambertMaterial({ color: colour }));
-    const label = new Label(this.colours, userColour(user));
+    const label = new Label(userColour(user));
     const belief = new THREE.LineLoop(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: colour }));
     group.add(body, detector, label.sprite, belief);
     this.scene.add(group);

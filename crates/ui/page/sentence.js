@@ -6,7 +6,15 @@ import { CHECK_SERVER } from "./requests.js";
 export const STALE_S = 1;
 
 const rounded = (mbps) => (Math.abs(mbps) < 10 ? mbps.toFixed(1) : mbps.toFixed(0));
-export const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0)) + " s";
+
+// A time in s, in words.
+export function duration(time_s) {
+  if (time_s < 120) return `${time_s < 10 ? time_s.toFixed(1) : time_s.toFixed(0)} s`;
+  return time_s < 7200 ? `${Math.floor(time_s / 60)} min` : `${Math.floor(time_s / 3600)} h`;
+}
+
+// What the page says of a source that is silent; the age is infinite where it never reported.
+export const noReport = (age) => (age === Infinity ? "no report" : `no report for ${duration(age)}`);
 
 // The sum rates of the channel model for the users of a frame; `null` where one of them has a measured rate, or an
 // array reports no angles.
@@ -59,20 +67,11 @@ export const refusal = (now) => now.nodes.find(({ node, state }) => node === "co
 // Whether a calibration commands the mirrors in place of a controller, as the server judges it.
 export const isCalibrating = (now) => now.in_charge?.name === "calibration";
 
-// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is. The name is empty
-// while the policy is unknown. The server judges this; its judgement gets old with the telemetry.
-export function inCharge(now, arrayAge) {
-  if (arrayAge <= STALE_S || isCalibrating(now)) return now.in_charge;
-  return { name: "no report", idle: "The mirrors do not follow the policy: no report." };
-}
-
 // The sentence for figures of an age in s; `now` is null before the first figures.
 export function sentence(now, age, shown, frame) {
   if (now === null) return "Waiting for the first report of the room.";
   if (now.ages_s.room == null) return "No room has reported yet: users and rates are unknown.";
-  if (age > STALE_S || now.origin === "no-data") {
-    return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
-  }
+  if (age > STALE_S) return `The room has not reported for ${duration(age)}: users and rates are unknown.`;
   if (isCalibrating(now)) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
   // The list of problems has the reason.
   if (refusal(now)) return "The controller refuses the position reports.";
@@ -81,12 +80,13 @@ export function sentence(now, age, shown, frame) {
 }
 
 // A text for a screen reader, which reads it again at each change: without ages, which change several times a second.
-export const spoken = (text) => text.replace(/ for [\d.]+ s\b/g, "");
+export const spoken = (text) => text.replace(/ (for|at least) [\d.]+ (s|min|h)\b( ago)?/g, "");
 
-// Who ordered a stop, why, and since when the page knows of it.
-function orderedBy({ name, operator, reason, age_s }) {
-  if (/^0+\/0$/.test(name)) return `The array started stopped${reason ? ` (${reason})` : ""}.`;
-  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to the server of this page for ${seconds(age_s)}.`;
+// Who ordered a stop and why, and when; the server of this page may have opened after the stop.
+function orderedBy({ name, operator, reason, age_s }, isDated) {
+  const why = reason ? ` (${reason})` : "";
+  if (/^0+\/0$/.test(name)) return `The array started stopped${why}.`;
+  return `Ordered by ${operator || `stop ${name}`}${why}${isDated ? ` at least ${duration(age_s)} ago` : ""}.`;
 }
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
@@ -94,7 +94,7 @@ export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 // The banner of a controller that is in the room and does not report; no calibration has an age here.
 function controllerBanner(age) {
   if (age <= STALE_S || age === Infinity) return null;
-  return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
+  return { kind: "bad", text: `The controller has not reported for ${duration(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
 
 // A stop that was open at the last event of the server is still the first thing to know.
@@ -115,23 +115,24 @@ export function banner(now, silence, arrayAge, controllerAge) {
   const check = asSentence(CHECK_SERVER);
   if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
-    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}.${openStop(now)} Everything below is old. ${check}` };
+    return { kind: "bad", text: `No connection to the server of this page for ${duration(silence)}.${openStop(now)} Everything below is old. ${check}` };
   }
   const { phase, since_s, stops, held, problems, free, lost } = now.stop;
   const several = now.array.arrays > 1;
   const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
   const lacking = several ? "Not every array has" : "The array has not";
-  const by = stops.length ? ` ${stops.map(orderedBy).join(" ")}` : "";
+  // A stop that is not confirmed has its time already.
+  const by = stops.map((stop) => ` ${orderedBy(stop, phase !== "unconfirmed")}`).join("");
   const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
   const ends = lost.length ? " Only reports of the arrays, the return of a lost driver or a release can end this warning." : " Only the arrays can end this warning.";
   const moving = free.map((array) => ` Array ${array} is not stopped: no stop holds it.`).join("");
   switch (phase) {
     case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
+      return { kind: "bad", text: `${lacking} confirmed the stop for ${duration(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
     case "confirmed":
       if (arrayAge > STALE_S) {
-        return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
+        return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${duration(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
       return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows. Without telemetry none is known.

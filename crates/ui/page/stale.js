@@ -1,12 +1,12 @@
 // The age of what the page shows, from the ages that the server reports and the time since its last event.
-import { STALE_S, seconds } from "./sentence.js";
+import { STALE_S, duration, noReport } from "./sentence.js";
 
 const CHECK_EVERY_MS = 200;
 
 export class Ages {
   // Calls `changed` several times a second, with events and without.
   constructor(changed) {
-    this.started = this.arrived = performance.now();
+    this.arrived = performance.now();
     this.now = null;
     setInterval(changed, CHECK_EVERY_MS);
   }
@@ -21,7 +21,7 @@ export class Ages {
     return (performance.now() - this.arrived) / 1000;
   }
 
-  // Age in s of what a process reported: a field of `ages_s`; infinite where it is absent.
+  // Age in s of what a process reported: a field of `ages_s`; infinite where it is absent. `page` is the server too.
   of(process) {
     // The server sends an event several times a second; the page counts by itself.
     if (process === "server" || process === "page") return this.silence;
@@ -33,16 +33,13 @@ export class Ages {
     return this.of(process) > STALE_S;
   }
 
-  // Marks the parts that show old values, and says how old they are.
+  // Marks the parts and the single figures that show old values; the style sheet writes their age beside them.
   mark() {
     for (const part of document.querySelectorAll("[data-from]")) {
-      const ages = part.dataset.from.split(" ").map((process) => this.of(process));
-      const age = Math.max(...ages);
+      const age = this.of(part.dataset.from);
       part.classList.toggle("stale", age > STALE_S);
-      const text = age <= STALE_S ? "" : age === Infinity ? "no report" : `${seconds(age)} old`;
-      if ((part.dataset.age ?? "") === text) continue;
-      part.dataset.age = text;
-      if (part.tagName !== "SECTION") part.title = text;
+      const text = age <= STALE_S ? "" : age === Infinity ? noReport(age) : `${duration(age)} old`;
+      if (part.dataset.age !== text) part.dataset.age = text;
     }
   }
 }

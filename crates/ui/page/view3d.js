@@ -28,7 +28,7 @@ export class View3D {
     this.ratio = this.ratioMax;
     this.renderer.setPixelRatio(this.ratio);
     this.spent = { seconds: 0, pictures: 0 };
-    element.replaceChildren(renderer.domElement);
+    element.append(renderer.domElement);
     renderer.domElement.addEventListener("webglcontextrestored", changed);
   }
 

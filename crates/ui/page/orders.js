@@ -178,14 +178,9 @@ export class Orders {
 
   show() {
     if (this.message && performance.now() > this.message.until) this.message = null;
-    const WORDS = { sent: "sent, not answered yet", done: "done", "still-stopped": "released", refused: "refused", missing: "no answer", absent: "no array has confirmed it" };
-    let [text, state] = ["", ""];
-    if (this.message) [text, state] = [this.message.text, "bad"];
-    else if (this.newest) {
-      const { what, state: answer, reason } = this.newest;
-      text = `${what}: ${WORDS[answer]}${reason ? `: ${reason}` : ""}`;
-      state = answer === "done" ? "good" : answer === "sent" ? "" : "bad";
-    }
+    const text = this.message?.text ?? this.newest?.text ?? "";
+    const answer = this.message ? "refused" : this.newest?.state;
+    const state = { done: "good", sent: "", [undefined]: "" }[answer] ?? "bad";
     if (this.status.textContent !== text) this.status.textContent = this.status.title = text;
     if (this.status.className !== state) this.status.className = state;
   }

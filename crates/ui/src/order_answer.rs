@@ -44,17 +44,23 @@ impl Answer {
         matches!(self, Self::Sent | Self::Missing | Self::Absent)
     }
 
+    /// The answer in words, for the page and the log of events.
+    pub(crate) fn in_words(&self) -> String {
+        match self {
+            Self::Sent => "sent, not answered yet".to_owned(),
+            Self::Done => "done".to_owned(),
+            Self::StillStopped(rest) => format!("released: {rest}"),
+            Self::Refused(reason) => format!("refused: {reason}"),
+            Self::Missing => "no answer".to_owned(),
+            Self::Absent => "no array has confirmed it".to_owned(),
+            Self::Replaced => "replaced by a later order".to_owned(),
+        }
+    }
+
     /// The answer in the log of events, and whether it is a problem; none before the first one.
     pub(crate) fn in_log(&self) -> Option<(String, bool)> {
-        Some(match self {
-            Self::Sent => return None,
-            Self::Done => ("done".to_owned(), false),
-            Self::StillStopped(rest) => (format!("released: {rest}"), true),
-            Self::Refused(reason) => (format!("refused: {reason}"), true),
-            Self::Missing => ("no answer".to_owned(), true),
-            Self::Absent => ("no array has confirmed it".to_owned(), true),
-            Self::Replaced => ("replaced by a later order".to_owned(), false),
-        })
+        let is_bad = !matches!(self, Self::Done | Self::Replaced);
+        (*self != Self::Sent).then(|| (self.in_words(), is_bad))
     }
 }
 

@@ -29,9 +29,17 @@ pub struct OrderFigures {
     pub id: u64,
     /// The order in words.
     pub what: String,
+    /// The order and its answer in words.
+    pub text: String,
     /// Its state.
     #[serde(flatten)]
     pub answer: Answer,
+}
+
+impl OrderFigures {
+    pub(crate) fn new(id: u64, what: String, answer: Answer) -> Self {
+        Self { id, text: format!("{what}: {}", answer.in_words()), what, answer }
+    }
 }
 
 /// An order, from its request until it is no longer shown.
@@ -121,7 +129,7 @@ impl OrderLog {
         let in_log = |entry: &Entry| {
             let is_early = entry.answer == Answer::Absent && entry.published.at.elapsed() < ANSWER_LIMIT;
             let answer = if is_early { Answer::Sent } else { entry.answer.clone() };
-            OrderFigures { answer, ..entry.figures() }
+            OrderFigures::new(entry.id, entry.published.order.in_words(), answer)
         };
         self.lock().iter().rev().map(in_log).collect()
     }
@@ -145,7 +153,7 @@ impl Entry {
     }
 
     fn figures(&self) -> OrderFigures {
-        OrderFigures { id: self.id, what: self.published.order.in_words(), answer: self.answer.clone() }
+        OrderFigures::new(self.id, self.published.order.in_words(), self.answer.clone())
     }
 }
 

@@ -301,7 +301,7 @@ fn a_note_is_an_event_when_it_begins_and_when_it_ends_each_time() {
 #[test]
 fn an_order_is_an_event_when_it_is_answered_and_the_log_is_bounded() {
     let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
-    let order = |id, answer| [OrderFigures { id, what: "stop".into(), answer }];
+    let order = |id, answer| [OrderFigures::new(id, "stop".into(), answer)];
     log.note_at(1, &figures("following", ""), &order(1, Answer::Sent), &no_stop);
     let first = texts(&log).len();
     log.note_at(2, &figures("following", ""), &order(1, Answer::Done), &no_stop);

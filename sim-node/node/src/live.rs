@@ -35,9 +35,9 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
         node.keep_latches(false);
     }
     node.refused.set("dropped", node.session.dropped());
-    node.refused.set("truth-skipped", publisher.skipped());
+    let skipped_instants = publisher.skipped();
     let measurements = publisher.finish()?;
-    let summary = node.summary(&measurements);
+    let summary = Summary { skipped_instants, ..node.summary(&measurements) };
     node.session.close()?;
     Ok(summary)
 }

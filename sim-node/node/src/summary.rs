@@ -74,6 +74,8 @@ pub struct Summary {
     pub loop_us: Quantiles,
     /// Instants at which rates were computed, from the first command on.
     pub truth_samples: u64,
+    /// Instants and statuses that were not published to viewers, because earlier ones were still computed.
+    pub skipped_instants: u64,
     /// Mean time to compute such an instant, with the oracle, in us.
     pub truth_us_mean: f64,
     /// Mean sum rates over those instants; absent before the first command.
@@ -151,6 +153,9 @@ impl fmt::Display for Summary {
             let percent = |inside: u64| 100.0 * inside as f64 / places as f64;
             let (half, most) = (percent(inside_50), percent(inside_95));
             writeln!(f, "belief          {half:.0} % within the ellipse of 50 %, {most:.0} % within that of 95 %")?;
+        }
+        if self.skipped_instants > 0 {
+            writeln!(f, "not published   {} states for viewers: the processors were busy", self.skipped_instants)?;
         }
         for (name, count) in &self.refused {
             writeln!(f, "refused         {name}: {count}")?;

@@ -40,6 +40,7 @@ struct RoomPart {
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
     blocked_users_mean: f64,
+    skipped_instants: u64,
     /// Users who entered and left; empty where they stay.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     turnover: BTreeMap<String, u64>,
@@ -76,12 +77,12 @@ struct ControllerPart {
 }
 
 impl RoomPart {
-    /// The ticks by what became of them; late ones are among the others.
+    /// The ticks by what became of them; late ones are among the others. Each line fits a terminal of 80 columns.
     fn ticks_in_words(&self) -> String {
         let Self { ticks, commands, lost_ticks, unattended_ticks, waiting_ticks, late_ticks, .. } = self;
         format!(
-            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks} (no controller, or a stop), \
-             waiting at the end {waiting_ticks} (the answer was on its way); late {late_ticks}"
+            "ticks {ticks}: commands {commands}, lost {lost_ticks}, unattended {unattended_ticks}, waiting at the end \
+             {waiting_ticks}; late {late_ticks}\n(unattended: no controller, or a stop; waiting: the answer was on its way)"
         )
     }
 
@@ -173,7 +174,7 @@ impl Summary {
     /// Which figures belong to which controller, if there were several.
     fn several_controllers(&self) -> Option<String> {
         let count = self.controllers_started;
-        let of_room = self.room.as_ref().map_or("", |_| "ticks, commands, loop and sum rate cover all of them; ");
+        let of_room = self.room.as_ref().map_or("", |_| "ticks, commands, loop and sum rate cover all;\n");
         (count > 1).then(|| {
             format!(
                 "{count} controllers were started: {of_room}decisions, age, fallbacks and refusals are those of the last one"
@@ -245,7 +246,7 @@ impl Summary {
             ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
             (
-                "commands not sent (standby: the controller did not lead; withheld: a stop)",
+                "commands not sent (standby: not leading; withheld: a stop)",
                 controller.map(|controller| &controller.withheld),
             ),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
@@ -254,6 +255,9 @@ impl Summary {
             if let Some(counts) = counts.filter(|counts| !counts.is_empty()) {
                 outln!("{what}:{}", list(counts))?;
             }
+        }
+        if let Some(skipped) = room.map(|room| room.skipped_instants).filter(|skipped| *skipped > 0) {
+            outln!("not published: {skipped} states for viewers, because the processors were busy")?;
         }
         let problems = [
             ("controller", controller.map(|controller| &controller.last_problem)),
@@ -311,9 +315,10 @@ mod tests {
             ..heliostat_sim_node::Summary::default()
         };
         let room = RoomPart::deserialize(serde_json::to_value(room).expect("a JSON form")).expect("complete");
-        let expected = "ticks 356, commands 354, lost 0, unattended 1 (no controller, or a stop), waiting at the end 1 (the \
-                        answer was on its way); late 0";
+        let expected = "ticks 356: commands 354, lost 0, unattended 1, waiting at the end 1; late 0\n(unattended: no \
+                        controller, or a stop; waiting: the answer was on its way)";
         assert_eq!(room.ticks_in_words(), expected);
+        assert!(room.ticks_in_words().lines().all(|line| line.len() <= 80), "a line wraps in a terminal");
     }
 
     #[test]

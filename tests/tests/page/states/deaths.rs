@@ -24,6 +24,16 @@ fn is_row_stale(browser: &Browser, name: &str) -> bool {
     browser.run(&script) == true
 }
 
+/// Whether the row with this name has its age beside its figures.
+fn has_age(browser: &Browser, name: &str) -> bool {
+    let rows = "[...document.querySelectorAll('#counts > div, #quantiles tbody > tr')]";
+    let script = format!(
+        "const row = {rows}.find((row) => row.textContent.startsWith('{name}')); \
+         return (row.dataset.age ?? '').endsWith(' old') && !['none', 'normal'].includes(getComputedStyle(row, '::after').content)"
+    );
+    browser.run(&script) == true
+}
+
 #[needs("browser")]
 #[test]
 fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
@@ -42,6 +52,9 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     wait_until("a room that still reports", || !is_stale(&browser, "room-card"));
     wait_until("old counters of the controller", || is_row_stale(&browser, "decisions"));
     wait_until("current counters of the room", || !is_row_stale(&browser, "ticks lost"));
+    wait_until("the age of the old ones alone", || {
+        has_age(&browser, "decisions") && has_age(&browser, "age") && !has_age(&browser, "ticks lost")
+    });
 
     setting.room.kill();
     wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
@@ -63,6 +76,43 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     for row in ["decisions", "ticks lost", "array refused", "unreadable", "loop"] {
         wait_until(&format!("{row} that looks stale without a server"), || is_row_stale(&browser, row));
     }
+}
+
+#[needs("browser")]
+#[test]
+fn the_first_problem_stays_in_one_line_beside_stop_on_a_phone() {
+    let (mut setting, browser) = Setting::shown();
+    browser.resize(390, 844);
+    let is_hidden = "return document.getElementById('worst').hidden";
+    assert_eq!(browser.run(is_hidden), true);
+    setting.room.kill();
+    // At the end of the page: whether the line is that of the list, is one line in the window, leaves STOP in view, and
+    // covers no content.
+    let shown = "scrollTo(0, document.documentElement.scrollHeight); \
+         const at = (id) => document.getElementById(id); \
+         const [line, stop, bar, end] = ['worst', 'stop', 'emergency', 'event-log'].map((id) => at(id).getBoundingClientRect()); \
+         const isOnTop = document.elementFromPoint(stop.x + stop.width / 2, stop.y + stop.height / 2)?.id === 'stop'; \
+         return [at('worst').textContent === at('problem').firstElementChild?.textContent, \
+           line.height > 0 && line.height < 30 && line.top >= 0 && line.bottom <= innerHeight, isOnTop, end.bottom <= bar.top]";
+    wait_until("the first problem beside STOP", || browser.run(shown) == serde_json::json!([true, true, true, true]));
+    browser.run("document.getElementById('worst').click()");
+    let is_in_view = "const { top, bottom, height } = document.getElementById('problem').getBoundingClientRect(); \
+         return height > 0 && top >= 0 && bottom <= innerHeight";
+    wait_until("the complete list after a tap", || browser.run(is_in_view) == true);
+    browser.resize(1280, 800);
+    let is_shown = "return document.getElementById('worst').checkVisibility()";
+    assert_eq!(browser.run(is_shown), false, "a larger window has the list in view");
+}
+
+#[needs("browser")]
+#[test]
+fn a_time_has_one_form_and_a_silence_one_word() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/sentence.js').then(({ duration, noReport }) => \
+           [[0.44, 12.6, 119.4, 120, 7199, 7200].map(duration), [Infinity, 12.6].map(noReport)])";
+    let expected =
+        serde_json::json!([["0.4 s", "13 s", "119 s", "2 min", "119 min", "2 h"], ["no report", "no report for 13 s"]]);
+    assert_eq!(browser.run(script), expected);
 }
 
 #[needs("browser")]

@@ -112,6 +112,41 @@ fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_n
 
 #[needs("browser")]
 #[test]
+fn a_panel_names_what_is_awaited_until_the_room_has_a_picture() {
+    let (_setting, browser) = Setting::shown();
+    let is_hidden = "return document.getElementById('awaited').hidden";
+    wait_until("a picture without the panel", || browser.run(is_hidden) == true);
+    // The page begins with the panel, before its scripts.
+    let begins = "return fetch('/').then((answer) => answer.text()).then((page) => /id=\"awaited\">Waiting for [^<]+</.test(page))";
+    assert_eq!(browser.run(begins), true);
+    // In one step: it covers the canvas.
+    let covers = "const [panel, room] = ['awaited', 'room'].map((id) => document.getElementById(id)); \
+         panel.hidden = false; \
+         const { x, y, width, height } = room.getBoundingClientRect(); \
+         const top = document.elementFromPoint(x + width / 2, y + height / 2)?.id; \
+         const isOpaque = getComputedStyle(panel).backgroundColor.startsWith('rgb('); \
+         panel.hidden = true; \
+         return [top, isOpaque]";
+    assert_eq!(browser.run(covers), serde_json::json!(["awaited", true]));
+}
+
+#[needs("browser")]
+#[test]
+fn the_histogram_has_every_bucket_where_the_page_was_open_before_the_controller() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/charts.js').then(async ({ Charts }) => { \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
+           charts.theme(); \
+           charts.drawLatency({ edges_us: [], counts: [] }); \
+           charts.drawLatency({ edges_us: [100, 500], counts: [3, 2, 1] }); \
+           await new Promise((resolve) => setTimeout(resolve)); \
+           const { min, max } = charts.latencyPlot.scales.x; \
+           return [min, max]; })";
+    assert_eq!(browser.run(script), serde_json::json!([-0.5, 2.5]));
+}
+
+#[needs("browser")]
+#[test]
 fn a_tap_on_a_figure_shows_its_meaning_within_the_window_and_another_tap_hides_it() {
     let (_setting, browser) = Setting::shown();
     for (width, height) in [(390, 844), (1280, 800)] {

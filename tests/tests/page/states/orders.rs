@@ -72,6 +72,24 @@ fn the_banner_names_a_lost_driver_and_what_ends_its_warning() {
 
 #[needs("browser")]
 #[test]
+fn the_banner_has_the_time_of_a_stop_once() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/sentence.js').then(({ banner }) => { \
+           const stops = [{ name: '3/4', operator: 'ann', reason: 'test', age_s: 7.3 }]; \
+           const of = (phase) => banner({ array: { arrays: 1, state: 'stopped' }, \
+             stop: { phase, since_s: 7.3, stops, held: null, problems: [], free: [], lost: [] } }, 0, 0, 0).text; \
+           return ['unconfirmed', 'confirmed'].map(of); })";
+    let expected = [
+        "The array has not confirmed the stop for 7.3 s. No array reports: cut the power of the mirrors. Ordered by ann (test). \
+         Only the arrays can end this warning.",
+        "The array has confirmed the stop: its device has executed it. Ordered by ann (test) at least 7.3 s ago. Re-arm \
+         releases it.",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/orders.js').then(({ notConfirmed }) => \

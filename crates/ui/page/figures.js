@@ -46,7 +46,7 @@ export function chips(now, ages, file) {
 // that direct path, rate and picture are of one report.
 function rated(now, shown, frame) {
   if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.rate_mbps : null }));
-  if (now.origin === "no-data" || !frame) return now.users.map((user) => ({ ...user, rate: null }));
+  if (!frame) return now.users.map((user) => ({ ...user, rate: null }));
   return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
 }
 

@@ -4,10 +4,18 @@ const SPAN_S = 60;
 export class Outages {
   constructor() {
     this.users = new Map();
+    this.wasSilent = false;
   }
 
   // Takes the rates at a time of the room; a user who has left is forgotten.
   take(now) {
+    // The figures of a silent room stay, and those of the next report begin again: the time between is unknown.
+    if (now.origin === "no-data") {
+      this.wasSilent = true;
+      return;
+    }
+    if (this.wasSilent) this.users.clear();
+    this.wasSilent = false;
     const present = new Map();
     for (const user of now.users.filter((user) => user.is_rate_known)) {
       const past = this.users.get(user.user) ?? [];

@@ -103,14 +103,15 @@ async function start() {
     retheme();
   });
 
-  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network, orders };
+  // `users` are the last figures of a room that reports: those of a silent room stay, in grey with their age.
+  const state = { now: null, users: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network, orders };
   const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);
   const showUsers = () => {
-    if (!state.now) return;
-    users(state.now, room.shown, state.frame, outages);
-    charts.figures(sums(state.now, room.shown, state.frame));
+    if (!state.users) return;
+    users(state.users, room.shown, state.frame, outages);
+    charts.figures(sums(state.users, room.shown, state.frame));
   };
   addEventListener("shown", () => { showUsers(); show(); });
   addEventListener("heat", ({ detail }) => showHeat(detail));
@@ -119,6 +120,7 @@ async function start() {
       outages.take(now);
       if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
+      if (now.origin !== "no-data" || !state.users) state.users = now;
       keepColours(state);
       state.ages.take(now);
       charts.update(now, now.in_charge);

@@ -187,6 +187,13 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     wait_until("a server without the room", || {
         browser.run("return fetch('/room.json').then((answer) => answer.json())")["geometry_source"] == "controller"
     });
+    wait_until("figures without the room", || {
+        browser.run("return fetch('/events.json').then((answer) => answer.json())")["figures"]["origin"] == "no-data"
+    });
+    let kept = "const [rate] = document.querySelectorAll('#sum-figures dd span'); \
+         return [document.getElementById('users').rows.length, Number(rate.textContent) > 0]";
+    wait_until("the chip of a silent room", || browser.text("#chip-room").starts_with("no report for"));
+    assert_eq!(browser.run(kept), serde_json::json!([shown, true]), "the last users and rates stay, in grey");
     let drawn = drawn(&browser);
     browser.run("document.getElementById('room').room.isDirty = true");
     wait_until("another picture", || super::setting::drawn(&browser) > drawn);

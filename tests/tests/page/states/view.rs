@@ -207,9 +207,13 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
            for (let time_s = 0; time_s <= 10; time_s += 1) at(time_s, time_s >= 2 && time_s < 5 ? 0.5 : 2); \
            const { share, longest_s } = outages.of(3); \
            for (let time_s = 11; time_s <= 70; time_s += 1) at(time_s, 2); \
-           return [share, longest_s, outages.of(3).share, outages.of(9)]; })";
+           const later = outages.of(3).share; \
+           outages.take({ time_s: 74, origin: 'no-data', users: [] }); \
+           const silent = outages.of(3) !== null; \
+           at(80, 2); \
+           return [share, longest_s, later, outages.of(9), silent, outages.of(3)]; })";
     let found = browser.run(script);
-    assert_eq!(found, serde_json::json!([0.3, 3, 0, null]));
+    assert_eq!(found, serde_json::json!([0.3, 3, 0, null, true, null]), "the time of a silence is not observed");
     // Outages of 1 s, 2 s and 4 s: the quantiles are linear between them.
     let script = "return import('/outages.js').then(({ Outages }) => { \
            const outages = new Outages(); \

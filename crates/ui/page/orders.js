@@ -54,6 +54,7 @@ export class Orders {
     for (const [button, max_m_s] of this.speed) button.dataset.title = max_m_s ? `users walk at ${max_m_s} m/s at most` : "users stand still";
     this.blocked = [];
     this.jammed = document.getElementById("label-mirrors");
+    this.note = document.getElementById("not-taken");
     if (plan.stop_only) {
       for (const id of ["rearm", "switch-policy"]) {
         Object.assign(document.getElementById(id), { disabled: true, title: plan.stop_only });
@@ -90,11 +91,14 @@ export class Orders {
     const limit = this.plan.stop_only;
     const simulated = now.origin === "simulated";
     const refused = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
+    const reason = limit ?? (simulated ? "" : refused);
     const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
     for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
       button.disabled = !!limit || !simulated;
-      button.title = limit ?? (simulated ? button.dataset.title ?? "" : refused);
+      button.title = reason || (button.dataset.title ?? "");
     }
+    const note = reason && `Disabled buttons: ${reason}.`;
+    if (this.note.textContent !== note) this.note.textContent = note;
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);
     // A controller that hangs is replaced too.

@@ -95,6 +95,10 @@ fn the_first_problem_stays_in_one_line_beside_stop_on_a_phone() {
          return [at('worst').textContent === at('problem').firstElementChild?.textContent, \
            line.height > 0 && line.height < 30 && line.top >= 0 && line.bottom <= innerHeight, isOnTop, end.bottom <= bar.top]";
     wait_until("the first problem beside STOP", || browser.run(shown) == serde_json::json!([true, true, true, true]));
+    // A tap on a disabled button shows no tooltip.
+    let note =
+        "const note = document.getElementById('not-taken'); return note.checkVisibility() ? note.textContent : ''";
+    wait_until("the reason of disabled buttons", || browser.run(note) == "Disabled buttons: the room does not report.");
     browser.run("document.getElementById('worst').click()");
     let is_in_view = "const { top, bottom, height } = document.getElementById('problem').getBoundingClientRect(); \
          return height > 0 && top >= 0 && bottom <= innerHeight";

@@ -185,6 +185,17 @@ fn a_stop_ends_with_its_release_and_its_confirmation_can_be_lost() {
 }
 
 #[test]
+fn a_silent_room_and_a_silent_array_have_one_word() {
+    let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+    log.note_at(1, &figures("following", ""), &[], &no_stop);
+    let first = texts(&log).len();
+    log.note_at(2, &Figures { origin: Origin::NoData, ..figures(NO_REPORT, "") }, &[], &no_stop);
+    let expected =
+        [(2, "room: simulated \u{2192} no report", true), (2, "mirrors: following \u{2192} no report", true)];
+    assert_eq!(texts(&log)[first..], expected);
+}
+
+#[test]
 fn a_problem_is_not_over_because_its_process_has_left() {
     let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
     let mut now = figures("following", "two sources");

@@ -84,7 +84,7 @@ fn the_first_problem_stays_in_one_line_beside_stop_on_a_phone() {
     let (mut setting, browser) = Setting::shown();
     browser.resize(390, 844);
     let is_hidden = "return document.getElementById('worst').hidden";
-    assert_eq!(browser.run(is_hidden), true);
+    wait_until("no problem", || browser.run(is_hidden) == true);
     setting.room.kill();
     // At the end of the page: whether the line is that of the list, is one line in the window, leaves STOP in view, and
     // covers no content.

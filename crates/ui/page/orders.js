@@ -2,7 +2,7 @@
 // buttons shows the answer of the process that received the order, never the click.
 
 import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
-import { STALE_S } from "./sentence.js";
+import { STALE_S, isReporting } from "./sentence.js";
 
 const POWERS_W = [0.5, 1, 2, 4];
 const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
@@ -74,7 +74,7 @@ export class Orders {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
     // While the room is silent, the buttons stay, and none is pressed.
-    const isKnown = now.ages_s.room != null && now.ages_s.room <= STALE_S;
+    const isKnown = isReporting(now);
     const count = Math.min(now.users.length, BLOCKED_MAX);
     if (this.blocked.length !== count + 1 && (isKnown || !this.blocked.length)) {
       const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);

@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, endBanner, lastSentence, sentence, spoken } from "./sentence.js";
+import { banner, endBanner, isReporting, lastSentence, sentence, spoken } from "./sentence.js";
 import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -120,7 +120,7 @@ async function start() {
       outages.take(now);
       if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
-      if (now.origin !== "no-data" || !state.users) state.users = now;
+      if (isReporting(now) || !state.users) state.users = now;
       keepColours(state);
       state.ages.take(now);
       charts.update(now, now.in_charge);

@@ -61,6 +61,9 @@ function withoutIn(users) {
   return `Without the mirrors, ${below.length} of ${users.length} users ${below.length === 1 ? "is" : "are"} below the minimum rate: ${names}.`;
 }
 
+// Whether the figures of the users are not old.
+export const isReporting = (now) => now.ages_s.room != null && now.ages_s.room <= STALE_S;
+
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
 

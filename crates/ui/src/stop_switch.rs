@@ -230,6 +230,11 @@ impl StopSwitch {
         self.room_stops().problems()
     }
 
+    /// The name of the last stop of this process, once it is given.
+    pub fn own_name(&self) -> Option<StopName> {
+        lock(&self.own).as_ref().map(|own| own.order.name())
+    }
+
     /// Whether the last stop of this process is held for any array.
     pub fn is_own_held(&self) -> bool {
         self.room_stops().ordered.is_some()

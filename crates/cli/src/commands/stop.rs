@@ -8,18 +8,18 @@ use std::io;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, KeyError};
+use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, Identity, KeyError};
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_proto::{Room, StopName};
 use heliostat_service::{EndArgs, duration, output};
-use heliostat_ui::{StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
+use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
 use super::join::Unconnected;
 use order::{Order, unsent};
 use words::{
-    HELD, LOOK_AND_REPEAT, confirmation_in_words, given, may_follow, open_in_words, own_in_words, release_command,
-    release_in_words, with_held, with_reach, with_stops,
+    HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_in_words,
+    release_in_words, with_reach, with_releases, with_state, with_stops,
 };
 
 /// Time between two looks at a held stop.
@@ -110,14 +110,16 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
     // Nothing keeps a stop that is held from being sent.
     let end = args.hold.then(|| args.end.stop());
+    // Every role may stop the array, so any certificate of the folder serves.
+    let config = args.order.config_of_any_role()?;
+    let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
+    let release = Release::new(&args.order.bus, rights);
     match &end {
-        None => order.end_with_a_word("heliostat stop", given(args.order.bus.clone())),
-        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given(args.order.bus.clone())),
+        None => order.end_with_a_word("heliostat stop", given(release.clone())),
+        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given(release.clone())),
         // It shows when the stop is held.
         Some(Err(_)) => {}
     }
-    // Every role may stop the array, so any certificate of the folder serves.
-    let config = args.order.config_of_any_role()?;
     let joined = if args.hold { order.join_and_wait(config) } else { order.join_at_once(config) };
     let (switch, room) = (&order.switch, joined?);
     if let Some(arrays) = args.arrays {
@@ -126,10 +128,10 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let joined = begun.elapsed();
     order.note_sent();
     let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took);
-    let stopped = stopped.map_err(|error| with_reach(error, &own_in_words(switch, &args.order.bus)));
+    let stopped = stopped.map_err(|error| with_reach(error, &own_in_words(switch, &release)));
     note_unverified(switch);
     let Some(end) = end else {
-        let unrecorded = args.order.report(&room, switch, stopped?, begun)?;
+        let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release)?;
         let closed = order.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
@@ -137,7 +139,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     // Before the notes: a signal that answers them ends the stop as one that is held.
     order.note_held();
     let note = |error: &dyn Display| output::note(format_args!("heliostat stop: {error}; {HELD}"));
-    let report = |took| match args.order.report(&room, switch, took, begun) {
+    let report = |took| match args.order.report(&room, switch, (took, begun), &release) {
         Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
         Err(error) => note(&error),
     };
@@ -192,6 +194,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned()
     });
     let room = order.join_widely(args.order.bus.config_or_connect(&[AccessRole::Operator])?)?;
+    let release = Release::new(&args.order.bus, Rights::All);
     let switch = &order.switch;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
@@ -201,12 +204,13 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
             if found.is_empty() {
                 let error = anyhow!("the stop {name} is not in force; nothing was sent");
-                return Err(with_held(error, switch.held_by_controller().as_deref()));
+                return Err(with_state(error, switch.held_by_controller().as_deref(), &switch.lost_devices()));
             }
             found
         }
         (None, false) if stops.len() > 1 => {
-            return Err(UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() }.into());
+            let several = UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() };
+            bail!("{several}: `{}`, or `{}`", release.of_stop(stops[0].name), release.of_all());
         }
         _ => stops,
     };
@@ -222,9 +226,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
             error => error,
         };
-        with_held(error.into(), switch.held_by_controller().as_deref())
+        with_state(error.into(), switch.held_by_controller().as_deref(), &switch.lost_devices())
     })?;
     lost.iter().for_each(output::note);
+    switch.lost_devices().into_iter().for_each(output::note);
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
     let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost);
@@ -265,7 +270,13 @@ impl OrderArgs {
     }
 
     /// Prints that every array is stopped, with the stops in force; returns the arrays that do not record the stop.
-    fn report(&self, room: &Room, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
+    fn report(
+        &self,
+        room: &Room,
+        switch: &StopSwitch,
+        (took, begun): (Duration, Instant),
+        release: &Release,
+    ) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         let (written, unrecorded) = if self.json {
@@ -277,8 +288,7 @@ impl OrderArgs {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            let text = with_stops(text, "the stop", stops);
-            (print_outcome(&format!("{text}\n{}", release_command(stops, &self.bus))), find_unrecorded())
+            (print_outcome(&with_releases(text, stops, release)), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {

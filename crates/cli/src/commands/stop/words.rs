@@ -7,7 +7,7 @@ use heliostat_bus::BusArgs;
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
-use heliostat_ui::{StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped};
+use heliostat_ui::{Rights, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped};
 
 /// What becomes of a stop of which a problem is shown, and how to end it.
 pub(super) const HELD: &str = "the stop is held: end with Ctrl-C";
@@ -23,8 +23,52 @@ pub(super) fn confirmation_in_words(is_confirmed: bool, open: impl FnOnce() -> S
     }
 }
 
+/// The commands that release stops of the room, for an operator to copy.
+#[derive(Clone, Debug)]
+pub(super) struct Release {
+    bus: BusArgs,
+    rights: Rights,
+}
+
+impl Release {
+    /// Of an operator who has joined with these flags, by a certificate with these rights.
+    pub fn new(bus: &BusArgs, rights: Rights) -> Self {
+        Self { bus: bus.clone(), rights }
+    }
+
+    /// The command for one stop.
+    pub fn of_stop(&self, name: StopName) -> String {
+        self.command(&format!("--stop {name}"))
+    }
+
+    /// The command for all stops.
+    pub fn of_all(&self) -> String {
+        self.command("--all")
+    }
+
+    fn command(&self, flag: &str) -> String {
+        self.bus.command("heliostat rearm", flag)
+    }
+
+    /// What the command needs beside its flags, behind it; empty for what the certificate of this process permits.
+    fn needs(&self) -> &'static str {
+        match self.rights {
+            Rights::All => "",
+            Rights::StopOnly => ", with the keys of an operator",
+        }
+    }
+
+    /// A line with the command for each of these stops, and for all where there are several.
+    fn lines(&self, stops: &[RoomStop]) -> String {
+        let needs = self.needs();
+        let one = |stop: &RoomStop| format!("to release: {}{needs}", self.of_stop(stop.name));
+        let all = (stops.len() > 1).then(|| format!("to release all: {}{needs}", self.of_all()));
+        stops.iter().map(one).chain(all).collect::<Vec<_>>().join("\n")
+    }
+}
+
 /// What is known of a stop on its way, array by array.
-pub(super) fn given(bus: BusArgs) -> impl Fn(&StopSwitch) -> String + Send + 'static {
+pub(super) fn given(release: Release) -> impl Fn(&StopSwitch) -> String + Send + 'static {
     move |switch| {
         let known = match switch.is_own_confirmed() {
             true => "every array that this command sees has confirmed the stop".to_owned(),
@@ -33,14 +77,14 @@ pub(super) fn given(bus: BusArgs) -> impl Fn(&StopSwitch) -> String + Send + 'st
                 open_in_words(switch)
             ),
         };
-        format!("{known}{}", own_in_words(switch, &bus))
+        format!("{known}{}", own_in_words(switch, &release))
     }
 }
 
 /// The name of the stop of this command and what releases it, as a sentence that follows another one; empty before it
 /// is given.
-pub(super) fn own_in_words(switch: &StopSwitch, bus: &BusArgs) -> String {
-    let words = |name| format!(". The stop is {name}; to release it: `{}`", release_of(name, bus));
+pub(super) fn own_in_words(switch: &StopSwitch, release: &Release) -> String {
+    let words = |name| format!(". The stop is {name}; to release it: `{}`{}", release.of_stop(name), release.needs());
     switch.own_name().map(words).unwrap_or_default()
 }
 
@@ -75,15 +119,17 @@ pub(super) fn with_reach(error: UiError, own: &str) -> anyhow::Error {
     }
 }
 
-/// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state.
-pub(super) fn with_held(error: anyhow::Error, held: Option<&str>) -> anyhow::Error {
-    match held {
-        Some(held) => anyhow!(
-            "{error}. Commands are {held}: the controller still holds this, and stops an array that returns; repeat the re-arm \
+/// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state,
+/// and with the arrays that report that a device does not answer.
+pub(super) fn with_state(error: anyhow::Error, held: Option<&str>, lost_devices: &[String]) -> anyhow::Error {
+    let held = held.map(|held| {
+        format!(
+            ". Commands are {held}: the controller still holds this, and stops an array that returns; repeat the re-arm \
              when it reports"
-        ),
-        None => error,
-    }
+        )
+    });
+    let lost = lost_devices.iter().map(|lost| format!("; {lost}"));
+    anyhow!("{error}{}", held.into_iter().chain(lost).collect::<String>())
 }
 
 /// Whether one of these stops stands for others that the array could not list: their holders repeat them.
@@ -93,6 +139,12 @@ pub(super) fn may_follow(released: &[RoomStop]) -> bool {
 
 /// What a release has done, and what may hold the arrays after it.
 pub(super) fn release_in_words(room: &str, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> String {
+    if released.is_empty() && held.is_empty() {
+        return format!(
+            "no stop of room {room} was in force by name; the release is confirmed after {:.1} ms",
+            took.as_secs_f64() * 1e3
+        );
+    }
     let further = || may_follow(released).then(|| format!("further stops may hold the arrays: {LOOK_AND_REPEAT}"));
     let took_ms = took.as_secs_f64() * 1e3;
     match still_stopped(held).or_else(further) {
@@ -104,20 +156,6 @@ pub(super) fn release_in_words(room: &str, took: Duration, released: &[RoomStop]
     }
 }
 
-/// The command that releases these stops, for an operator who has just stopped the room.
-pub(super) fn release_command(stops: &[RoomStop], bus: &BusArgs) -> String {
-    let flag = match stops {
-        [stop] => return format!("to release: {}", release_of(stop.name, bus)),
-        _ => "--stop NAME for one of them, or --all",
-    };
-    format!("to release: {}", bus.command("heliostat rearm", flag))
-}
-
-/// The command that releases one stop.
-fn release_of(name: StopName, bus: &BusArgs) -> String {
-    bus.command("heliostat rearm", &format!("--stop {name}"))
-}
-
 /// A text, with one line for each stop, which begins with what it is.
 pub(super) fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String {
     let line = |RoomStop { name, operator, reason, .. }: &RoomStop| {
@@ -127,6 +165,11 @@ pub(super) fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String
     };
     let lines: Vec<String> = [text].into_iter().chain(stops.iter().map(line)).collect();
     lines.join("\n")
+}
+
+/// A text, with the stops in force and the commands that release them.
+pub(super) fn with_releases(text: String, stops: &[RoomStop], release: &Release) -> String {
+    format!("{}\n{}", with_stops(text, "the stop", stops), release.lines(stops))
 }
 
 #[cfg(test)]
@@ -159,13 +202,41 @@ mod tests {
     #[test]
     fn a_stop_names_the_command_that_releases_it_and_a_release_what_it_released() {
         let stop = stop(false);
-        let bus = BusArgs::default();
-        let one = release_command(std::slice::from_ref(&stop), &bus);
+        let release = Release::new(&BusArgs::default(), Rights::All);
+        let one = release.lines(std::slice::from_ref(&stop));
         assert_eq!(one, "to release: heliostat rearm --stop 0000000000000000/0");
-        let several = release_command(&[stop.clone(), stop.clone()], &bus);
-        assert_eq!(several, "to release: heliostat rearm --stop NAME for one of them, or --all");
+        let other = RoomStop { name: StopName { source: 3, sequence: 4 }, ..stop.clone() };
+        let several = with_releases("done".to_owned(), &[stop.clone(), other], &release);
+        let expected = "done\n\
+                        the stop: 0000000000000000/0: \"no record\"\n\
+                        the stop: 0000000000000003/4: \"no record\"\n\
+                        to release: heliostat rearm --stop 0000000000000000/0\n\
+                        to release: heliostat rearm --stop 0000000000000003/4\n\
+                        to release all: heliostat rearm --all";
+        assert_eq!(several, expected);
         let released = with_stops("done".to_owned(), "released", &[stop]);
         assert_eq!(released, "done\nreleased: 0000000000000000/0: \"no record\"");
+    }
+
+    #[test]
+    fn a_viewer_is_told_that_a_release_needs_the_keys_of_an_operator() {
+        let release = Release::new(&BusArgs::default(), Rights::StopOnly);
+        let line = release.lines(&[stop(false)]);
+        assert_eq!(line, "to release: heliostat rearm --stop 0000000000000000/0, with the keys of an operator");
+        let switch = StopSwitch::new("ann");
+        switch.stop("smoke").expect_err("there is no array");
+        let own = own_in_words(&switch, &release);
+        assert!(own.ends_with("`, with the keys of an operator"), "{own}");
+    }
+
+    #[test]
+    fn a_release_says_whether_a_stop_was_in_force_and_which_device_does_not_answer() {
+        let words = |released: &[RoomStop]| release_in_words("lab", Duration::from_millis(5), released, &[]);
+        assert_eq!(words(&[]), "no stop of room lab was in force by name; the release is confirmed after 5.0 ms");
+        assert_eq!(words(&[stop(false)]), "the arrays of room lab are released, confirmed after 5.0 ms");
+        let lost = ["array 0 reports that a device does not answer".to_owned()];
+        let refused = with_state(UiError::NotStopped.into(), None, &lost).to_string();
+        assert_eq!(refused, format!("{}; {}", UiError::NotStopped, lost[0]));
     }
 
     #[test]
@@ -179,7 +250,7 @@ mod tests {
 
     #[test]
     fn a_rearm_without_an_array_names_the_stop_that_the_controller_still_holds() {
-        let text = |held| with_held(UiError::NoReceiver("array").into(), held).to_string();
+        let text = |held| with_state(UiError::NoReceiver("array").into(), held, &[]).to_string();
         let held = text(Some("withheld by the stop of bea"));
         assert!(held.starts_with("no array received the order: "), "{held}");
         assert!(held.contains(". Commands are withheld by the stop of bea: the controller still holds this"), "{held}");
@@ -188,11 +259,11 @@ mod tests {
 
     #[test]
     fn a_stop_that_is_not_confirmed_names_itself_and_the_command_that_releases_it() {
-        let switch = StopSwitch::new("ann");
-        assert_eq!(own_in_words(&switch, &BusArgs::default()), "", "before it is given");
+        let (switch, release) = (StopSwitch::new("ann"), Release::new(&BusArgs::default(), Rights::All));
+        assert_eq!(own_in_words(&switch, &release), "", "before it is given");
         // It reaches no array, and one that connects may get it.
         let refused = switch.stop("smoke").expect_err("there is no array");
-        let own = own_in_words(&switch, &BusArgs::default());
+        let own = own_in_words(&switch, &release);
         let name = switch.own_name().expect("it was given");
         assert_eq!(own, format!(". The stop is {name}; to release it: `heliostat rearm --stop {name}`"));
         let unconfirmed = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: Vec::new() };
@@ -200,7 +271,7 @@ mod tests {
             let text = with_reach(error, &own).to_string();
             assert!(text.ends_with(&own), "{text}");
         }
-        assert!(given(BusArgs::default())(&switch).ends_with(&own));
+        assert!(given(release)(&switch).ends_with(&own));
     }
 
     #[test]

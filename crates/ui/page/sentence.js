@@ -83,10 +83,11 @@ export function sentence(now, age, shown, frame) {
 // A text for a screen reader, which reads it again at each change: without ages, which change several times a second.
 export const spoken = (text) => text.replace(/ for [\d.]+ s\b/g, "");
 
-// Who ordered a stop, why, and since when the page knows of it.
-function orderedBy({ name, operator, reason, age_s }) {
+// Who ordered a stop, why, and since when the page knows of it, unless the banner has said this time, `said` in s.
+function orderedBy({ name, operator, reason, age_s }, said) {
   if (/^0+\/0$/.test(name)) return `The array started stopped${reason ? ` (${reason})` : ""}.`;
-  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to the server of this page for ${seconds(age_s)}.`;
+  const known = Math.abs(age_s - said) < 1 ? "" : `, known to the server of this page for ${seconds(age_s)}`;
+  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}${known}.`;
 }
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
@@ -110,8 +111,9 @@ export function endBanner(text, now) {
 }
 export const lastSentence = "The figures are the last ones before the end.";
 
-// The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
-export function banner(now, silence, arrayAge, controllerAge) {
+// The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s; `stopOnly`
+// says that the certificate of the page permits no re-arm.
+export function banner(now, silence, arrayAge, controllerAge, stopOnly) {
   const check = asSentence(CHECK_SERVER);
   if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
@@ -121,7 +123,9 @@ export function banner(now, silence, arrayAge, controllerAge) {
   const several = now.array.arrays > 1;
   const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
   const lacking = several ? "Not every array has" : "The array has not";
-  const by = stops.length ? ` ${stops.map(orderedBy).join(" ")}` : "";
+  // The time of a confirmed stop is not in the text.
+  const said = phase === "unconfirmed" ? since_s : NaN;
+  const by = stops.length ? ` ${stops.map((stop) => orderedBy(stop, said)).join(" ")}` : "";
   const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
   const ends = lost.length ? " Only reports of the arrays, the return of a lost driver or a release can end this warning." : " Only the arrays can end this warning.";
   const moving = free.map((array) => ` Array ${array} is not stopped: no stop holds it.`).join("");
@@ -133,7 +137,7 @@ export function banner(now, silence, arrayAge, controllerAge) {
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
-      return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
+      return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm${stopOnly ? " with the keys of an operator" : ""} releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows. Without telemetry none is known.
     case "released":
       if (lost.length) return { kind: "bad", text: `The stop is released, and a lost driver has not confirmed it. ${lost.map(asSentence).join(" ")}` };

@@ -52,6 +52,36 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
 
 #[needs("browser")]
 #[test]
+fn the_banner_says_the_time_of_an_unconfirmed_stop_once() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/sentence.js').then(({ banner }) => { \
+           const of = (phase, age_s) => banner({ array: { arrays: 1, state: 'stopped' }, \
+             stop: { phase, since_s: 5.02, held: null, problems: ['it is silent'], free: [], lost: [], \
+               stops: [{ name: '3/4', operator: 'ann', reason: 'ladder', age_s }] } }, 0, 0, 0).text; \
+           const times = (text) => text.match(/ for [0-9.]+ s/g) ?? []; \
+           return [of('unconfirmed', 4.97), of('unconfirmed', 60), of('confirmed', 5)].map(times); })";
+    assert_eq!(browser.run(script), serde_json::json!([[" for 5.0 s"], [" for 5.0 s", " for 60 s"], [" for 5.0 s"]]));
+}
+
+#[needs("browser")]
+#[test]
+fn the_banner_of_a_viewer_says_whose_keys_a_release_needs() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/sentence.js').then(({ banner }) => { \
+           const stop = { phase: 'confirmed', since_s: 2, held: null, problems: [], free: [], lost: [], \
+             stops: [{ name: '3/4', operator: 'ann', reason: 'ladder', age_s: 2 }] }; \
+           const now = { array: { arrays: 1, state: 'stopped' }, stop }; \
+           return [null, 'a viewer'].map((limit) => banner(now, 0, 0, 0, limit).text); })";
+    let texts = browser.run(script);
+    let ends_with = |index: usize, end: &str| texts[index].as_str().is_some_and(|text| text.ends_with(end));
+    assert!(ends_with(0, " Re-arm releases it."), "{texts}");
+    assert!(ends_with(1, " Re-arm with the keys of an operator releases it."), "{texts}");
+}
+
+#[needs("browser")]
+#[test]
 fn the_banner_names_a_lost_driver_and_what_ends_its_warning() {
     let setting = Setting::new();
     let browser = setting.browser();

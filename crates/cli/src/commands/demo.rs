@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusArgs, BusConfig, free_loopback_endpoint};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::{PolicyArgs, build, library};
 use heliostat_proto::Room;
@@ -96,6 +96,7 @@ pub fn run(args: Args) -> Result<()> {
         output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    let title = format!("{title}\n{}", status_command(&args.room, endpoints.0));
     let watched = Watched { opened, stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
     let outcome = watch(&args, &watched, &mut processes);
     if let Some(server) = server {
@@ -115,6 +116,12 @@ pub fn run(args: Args) -> Result<()> {
     // The first error says which process ended; a summary that lacks something is its consequence.
     let ended = room_summary.map(drop).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)));
     outcome.map(drop).and(ended).and(printed)
+}
+
+/// The command that shows the state of the demo from another terminal. The room outlives a restart of the controller.
+fn status_command(room: &str, endpoint: &str) -> String {
+    let flags = BusArgs { room: Some(room.to_owned()), connect: vec![endpoint.to_owned()], ..BusArgs::default() };
+    flags.command("heliostat status", "").trim_end().to_owned()
 }
 
 /// What an open page says of a demo that has ended, without a reason by an error.
@@ -243,6 +250,12 @@ impl Args {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_header_of_a_demo_has_the_command_that_connects_to_its_room() {
+        let command = status_command("studio", "tcp/127.0.0.1:17447");
+        assert_eq!(command, "heliostat status --room studio --connect tcp/127.0.0.1:17447");
+    }
 
     #[test]
     fn the_last_sentence_of_the_page_says_why_the_demo_has_ended() {

@@ -229,6 +229,7 @@ impl RoomRuntime {
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
             silent_peers: self.peers.silent(&peers, Instant::now()),
+            standby_missing: self.peers.is_standby_missing(&peers),
             peers,
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));

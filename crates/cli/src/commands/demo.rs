@@ -10,13 +10,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusArgs, BusConfig, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusArgs, BusConfig, BusError, free_loopback_endpoint};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::{PolicyArgs, build, library};
 use heliostat_proto::Room;
 use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::printable::printable;
 use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, NetworkFile, Operator, Page, PageArgs, ProcessOrder, View};
@@ -62,7 +63,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let opened = Instant::now();
-    let room = Room::new(&args.room)?;
+    let room = Room::new(&args.room).map_err(BusError::from)?;
     let scenario = args.scenario.load_arrays()?;
     args.check_room(&scenario)?;
     let network = args.network(&scenario)?;
@@ -203,10 +204,11 @@ impl Args {
     /// Builds room and policy once here, so that an unsuitable walk or actor is refused before any
     /// process starts.
     fn check_room(&self, scenario: &Scenario) -> Result<()> {
-        let trace = scenario.read_trace().context("nothing was started")?;
-        World::new(scenario, trace.as_deref(), scenario.seed).context("nothing was started: there would be no room")?;
+        let nothing = |why: &str| UnusableInput::new(format!("nothing was started{why}"));
+        let trace = scenario.read_trace().with_context(|| nothing(""))?;
+        World::new(scenario, trace.as_deref(), scenario.seed).with_context(|| nothing(": there would be no room"))?;
         build(self.policy.kind(), scenario, &self.policy.actor())
-            .context("nothing was started: the controller would have no policy")?;
+            .with_context(|| nothing(": the controller would have no policy"))?;
         Ok(())
     }
 

@@ -11,7 +11,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, Identity, KeyError};
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_proto::{Room, StopName};
-use heliostat_service::{EndArgs, duration, output};
+use heliostat_service::{EndArgs, duration, exit, output};
 use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
@@ -264,7 +264,7 @@ impl OrderArgs {
             }
         }
         match unusable {
-            Some(error) => Err(unsent(&Unconnected::advised(error))),
+            Some(error) => Err(exit::unusable(unsent(&Unconnected::advised(error)))),
             None => Ok(self.bus.config_or_connect(&AccessRole::ALL)?),
         }
     }

@@ -72,7 +72,8 @@ pub fn run(args: Args) -> Result<()> {
             document(&settings.scenario, Some(&settings.bus), process)?
         }
         Process::Demo(args) => {
-            let process = json!({ "name": "demo", "policy": args.policy.kind().name(), "room": Room::new(&args.room).map_err(BusError::from)?.name() });
+            let room = Room::new(&args.room).map_err(BusError::from)?;
+            let process = json!({ "name": "demo", "policy": args.policy.kind().name(), "room": room.name() });
             // Its endpoints are free ports, chosen at the start.
             document(&args.scenario.load_arrays()?, None, process)?
         }

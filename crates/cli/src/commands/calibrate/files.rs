@@ -11,8 +11,8 @@ use super::args::Args;
 /// Holds the files until the process ends.
 ///
 /// # Errors
-/// [`UnusableInput`](heliostat_service::exit::UnusableInput): a result that exists already, a file that cannot be written, that has two purposes, or
-/// that another process writes.
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput): a result that exists already, a file that cannot be
+/// written, that has two purposes, or that another process writes.
 pub fn hold(args: &Args) -> Result<Vec<Held>> {
     let results = [args.out.as_ref(), args.room_out.as_ref()];
     results.into_iter().flatten().try_for_each(|file| whole_file::check_new(file)).map_err(unusable)?;

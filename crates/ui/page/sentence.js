@@ -132,7 +132,8 @@ export function banner(now, silence, arrayAge, controllerAge, stopOnly) {
   switch (phase) {
     case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
+      // The words of a controller have the time of the stop that it holds.
+      return { kind: "bad", text: `${lacking} confirmed the stop${held ? "" : ` for ${seconds(since_s)}`}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };

@@ -56,12 +56,16 @@ fn the_banner_says_the_time_of_an_unconfirmed_stop_once() {
     let setting = Setting::new();
     let browser = setting.browser();
     let script = "return import('/sentence.js').then(({ banner }) => { \
-           const of = (phase, age_s) => banner({ array: { arrays: 1, state: 'stopped' }, \
-             stop: { phase, since_s: 5.02, held: null, problems: ['it is silent'], free: [], lost: [], \
+           const of = (phase, age_s, held = null) => banner({ array: { arrays: 1, state: 'stopped' }, \
+             stop: { phase, since_s: 5.02, held, problems: ['it is silent'], free: [], lost: [], \
                stops: [{ name: '3/4', operator: 'ann', reason: 'ladder', age_s }] } }, 0, 0, 0).text; \
            const times = (text) => text.match(/ for [0-9.]+ s/g) ?? []; \
-           return [of('unconfirmed', 4.97), of('unconfirmed', 60), of('confirmed', 5)].map(times); })";
-    assert_eq!(browser.run(script), serde_json::json!([[" for 5.0 s"], [" for 5.0 s", " for 60 s"], [" for 5.0 s"]]));
+           const held = of('unconfirmed', 5, 'withheld by the stop of ann since 12:00:00 UTC'); \
+           return [of('unconfirmed', 4.97), of('unconfirmed', 60), of('confirmed', 5), held].map(times); })";
+    assert_eq!(
+        browser.run(script),
+        serde_json::json!([[" for 5.0 s"], [" for 5.0 s", " for 60 s"], [" for 5.0 s"], []])
+    );
 }
 
 #[needs("browser")]

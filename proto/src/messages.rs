@@ -226,6 +226,8 @@ impl NodeStatus {
     pub const EPOCH: &'static str = "epoch";
     /// Name of the counter that is 1 while a controller stands by.
     pub const STANDBY: &'static str = "standby";
+    /// Name of the counter that is 1 while a controller sees no other one, although it has seen one since its start.
+    pub const STANDBY_MISSING: &'static str = "standby_missing";
     /// Beginning of the names of a controller's counters of the events of its tenure.
     pub const TENURE: &'static str = "epoch:";
     /// Name of the counter of arrays whose driver is absent, of a controller.

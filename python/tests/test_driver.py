@@ -267,6 +267,50 @@ def test_a_call_that_does_not_return_is_named_and_a_second_signal_ends_the_drive
         assert driver.returncode == 130 and errors.count("health has not returned for") == 1, errors
 
 
+def test_a_call_that_takes_longer_than_the_interval_of_a_status_is_named_when_it_returns() -> None:
+    class Slow(Mirrors):
+        wait_s = 0.0
+
+        def measure(self) -> None:
+            time.sleep(self.wait_s)
+
+        def connect(self) -> None:
+            time.sleep(self.wait_s)
+
+    slow = Slow()
+    device = Watched(slow, threading.Event(), lambda _: None, lambda _: None)
+    device.measure()
+    assert device.take_slow() == "", "it returns at once"
+    slow.wait_s = 0.6
+    device.connect()
+    assert device.take_slow() == "", "no mirror turns before a connection"
+    device.measure()
+    assert device.take_slow().startswith("measure took 0."), "the longest one"
+    assert device.take_slow() == "", "once"
+
+
+def test_the_status_of_a_slow_device_names_its_call(tmp_path: Path) -> None:
+    class Slow(Mirrors):
+        def measure(self) -> None:
+            time.sleep(0.6)
+
+    endpoint, stop = free_endpoint(), threading.Event()
+    settings = Settings(room="slow", connect=(endpoint,))
+    given = {"state": tmp_path / "slow", "stop": stop, "start_armed": True}
+    driver = threading.Thread(target=run, args=(Slow(), settings), kwargs=given, daemon=True)
+    with observer(endpoint, "slow") as operator:
+
+        def is_named() -> bool:
+            return str(operator.latest.get("status", {}).get("last_problem")).startswith("measure took ")
+
+        driver.start()
+        try:
+            wait_until("problem", is_named)
+        finally:
+            stop.set()
+            driver.join(LIMIT_S)
+
+
 def test_two_signals_in_quick_succession_end_a_program_that_waits(tmp_path: Path) -> None:
     waiting = tmp_path / "waiting.py"
     waiting.write_text(

@@ -19,6 +19,7 @@ if os.name != "posix":
 pytest.importorskip("dynamixel_sdk", reason="dynamixel-sdk is not installed")
 pytest.importorskip("zenoh")
 from dynamixel_chain import ERROR, GOAL, MODE, TEMPERATURE, TORQUE, VELOCITY, Chain, crc
+from heliostat._port_lock import PortLock
 from heliostat.dynamixel import MIDDLE, STEP_RAD, Dynamixel, ServoError
 from room import end_by, free_endpoint, needs_program, python, wait_until
 from test_driver import verdicts
@@ -150,6 +151,18 @@ def test_a_chain_without_servos_and_a_port_that_is_absent_are_named() -> None:
             device.stop()
         device.connect()
         device.stop()
+
+
+def test_a_port_that_another_driver_has_is_named_until_it_is_released() -> None:
+    with closing(Chain(1, 2)) as servos:
+        lock, device = PortLock(), Dynamixel(servos.port, 1, 1, [1, 2])
+        lock.take(servos.port)
+        with pytest.raises(ServoError, match=f"{servos.port}: .*another process has this port; end the process"):
+            device.connect()
+        lock.release()
+        device.connect()
+        with pytest.raises(OSError, match="another process has this port"):
+            lock.take(servos.port)
 
 
 @pytest.mark.parametrize(

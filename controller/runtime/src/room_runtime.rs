@@ -42,6 +42,7 @@ use heliostat_models::build_tried;
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{
     clock::utc_ns,
+    exit,
     locks::{lock, lock_within, try_lock},
     log_limit::LogLimit,
     process, source_id,
@@ -119,7 +120,7 @@ impl RoomRuntime {
             Pace::Lockstep => (Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.actor();
-        let (policy, findings) = build_tried(config.policy, scenario, &actor)?;
+        let (policy, findings) = build_tried(config.policy, scenario, &actor).map_err(exit::unusable)?;
         let is_lockstep = config.pace == Pace::Lockstep;
         let mut core =
             RoomCore::new(scenario, policy, RoomSettings { source, tenure, is_lockstep, force: config.force })?;
@@ -229,6 +230,7 @@ impl RoomRuntime {
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
             silent_peers: self.peers.silent(&peers, Instant::now()),
+            standby_missing: self.peers.is_standby_missing(&peers),
             peers,
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));

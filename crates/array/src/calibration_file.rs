@@ -13,6 +13,7 @@
 //! gain = [1.0, 0.99]
 //! ```
 
+use heliostat_files::{TomlError, from_toml};
 use heliostat_proto::{Calibration, Capabilities, Stamp};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -22,7 +23,7 @@ use thiserror::Error;
 pub enum CalibrationFileError {
     /// A key is unknown, missing or of another type.
     #[error(transparent)]
-    Toml(#[from] toml::de::Error),
+    Toml(#[from] TomlError),
     /// The length of a list is not the number of mirrors.
     #[error("{list} has a length of {found}: expected {expected}, one entry per mirror")]
     Length {
@@ -90,7 +91,7 @@ impl CalibrationFile {
     /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a
     /// list that does not fit the array.
     pub fn parse(text: &str) -> Result<Self, CalibrationFileError> {
-        let read: Self = toml::from_str(text)?;
+        let read: Self = from_toml(text)?;
         read.check()?;
         Ok(read)
     }

@@ -18,6 +18,7 @@
 //! reason = "test"
 //! ```
 
+use heliostat_files::{TomlError, from_toml};
 use heliostat_proto::{
     EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition, UNLISTED_STOPS, cut,
 };
@@ -107,8 +108,8 @@ pub struct Latch {
 #[derive(Debug, Error)]
 pub enum LatchTextError {
     /// A key is unknown, missing or of another type. In one line, because it is the reason of a stop.
-    #[error("no valid record: {}", .0.message())]
-    Toml(#[from] toml::de::Error),
+    #[error("no valid record: {0}")]
+    Toml(#[from] TomlError),
     /// The text is of another version.
     #[error("version {found}: expected {VERSION}")]
     Version {
@@ -275,7 +276,7 @@ impl Latch {
     /// # Errors
     /// [`LatchTextError`]: the state is unknown, so the array must start stopped.
     pub fn parse(text: &str) -> Result<Self, LatchTextError> {
-        let LatchText { version, count, stopped, stop, stops } = toml::from_str(text)?;
+        let LatchText { version, count, stopped, stop, stops } = from_toml(text)?;
         let stops = match version {
             VERSION_OF_ONE if stops.is_empty() => stop.into_iter().collect(),
             VERSION if stop.is_none() => stops,

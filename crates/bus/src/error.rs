@@ -135,6 +135,33 @@ pub enum BusError {
     },
 }
 
+impl BusError {
+    /// Whether the settings of a session cannot be used, of which nothing was tried yet: room, endpoints or keys.
+    pub fn is_of_settings(&self) -> bool {
+        match self {
+            Self::Keys(KeyError::CannotWrite { .. }) => false,
+            Self::Room(_)
+            | Self::Keys(_)
+            | Self::OpenListener { .. }
+            | Self::Unencrypted { .. }
+            | Self::NoKeys { .. }
+            | Self::OtherRoom { .. }
+            | Self::NoEndpoint
+            | Self::ClientWithoutRouter
+            | Self::InvalidEndpoint { .. } => true,
+            Self::EndpointInUse { .. }
+            | Self::CannotListen { .. }
+            | Self::CannotReach { .. }
+            | Self::Unresolved { .. }
+            | Self::Untrusted { .. }
+            | Self::Open { .. }
+            | Self::Refused { .. }
+            | Self::Close { .. }
+            | Self::NoFreePort { .. } => false,
+        }
+    }
+}
+
 /// Why keys cannot be made or used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum KeyError {

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, ensure};
+use heliostat_files::from_toml;
 use heliostat_proto::{AxisLimits, ValidityClock};
 use heliostat_service::input;
 use serde::Deserialize;
@@ -93,7 +94,7 @@ impl Config {
     /// line.
     pub fn load(file: &Path) -> Result<Self> {
         let text = input::read(file)?;
-        toml::from_str(&text).with_context(|| format!("in {}", file.display()))
+        from_toml(&text).with_context(|| format!("in {}", file.display()))
     }
 
     /// The array that the file describes; no device is opened yet.
@@ -204,7 +205,7 @@ mod tests {
     "#;
 
     fn wall(text: &str) -> Result<Wall> {
-        toml::from_str::<Config>(text)?.wall()
+        from_toml::<Config>(text)?.wall()
     }
 
     #[test]
@@ -270,9 +271,19 @@ mod tests {
         assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("no range is left"));
     }
 
+    #[test]
+    fn a_value_of_another_type_is_named_with_its_line_its_key_and_in_words() {
+        let of =
+            |from: &str, to: &str| from_toml::<Config>(&TWO_BOARDS.replace(from, to)).expect_err("refused").to_string();
+        let range = of("range_deg = 5.0", "range_deg = \"five\"");
+        assert_eq!(range, "line 8: boards.0.range_deg: invalid type: string \"five\", expected a number");
+        let missing = of("max_deg = 30.0", "");
+        assert_eq!(missing, "line 10: boards.1: missing field `max_deg`");
+    }
+
     /// The keys of a table, from the refusal of a key that it does not have.
     fn keys(text: &str) -> Vec<String> {
-        let refusal = toml::from_str::<Config>(text).expect_err("a key is unknown").message().to_owned();
+        let refusal = from_toml::<Config>(text).expect_err("a key is unknown").to_string();
         let (_, known) = refusal.split_once("expected one of ").expect("the refusal names the keys");
         known.split(", ").map(|key| key.trim_matches('`').to_owned()).collect()
     }

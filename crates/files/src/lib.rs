@@ -4,11 +4,16 @@
 //! device must not fill its memory. [`foreign_file`] and [`foreign_text`] say what a file is instead, and [`excerpt`]
 //! bounds what a message quotes. [`write_advice`] says what to do about a file that cannot be written, and [`shell_word`]
 //! writes its path into a command. With the feature `write`, `write_whole` writes a file that is complete at any time.
+//! With the feature `toml`, `from_toml` reads a text of TOML, and says where and why it is refused.
 
 mod bounded_file;
 mod excerpt;
 mod foreign_file;
 mod shell_word;
+#[cfg(feature = "toml")]
+pub mod similar;
+#[cfg(feature = "toml")]
+pub mod toml_text;
 #[cfg(feature = "write")]
 mod whole_file;
 mod write_advice;
@@ -17,6 +22,8 @@ pub use bounded_file::{open_file, read_bytes, read_text};
 pub use excerpt::{CARRIAGE_RETURNS, excerpt};
 pub use foreign_file::{foreign_file, foreign_text};
 pub use shell_word::shell_word;
+#[cfg(feature = "toml")]
+pub use toml_text::{TomlError, from_toml};
 #[cfg(feature = "write")]
 pub use whole_file::{folder_of, is_direct, write_whole};
 pub use write_advice::write_advice;

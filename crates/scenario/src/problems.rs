@@ -7,12 +7,13 @@ use std::fmt;
 use std::ops::Range;
 
 use heliostat_files::excerpt;
+use heliostat_files::toml_text::{entry_at, in_words, visible};
 use toml::de::{DeTable, DeValue};
 
 use crate::blame::refused_key;
 use crate::error::ScenarioError;
 use crate::lists::refuse_long;
-use crate::scenario::{Scenario, in_words};
+use crate::scenario::Scenario;
 
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
@@ -153,21 +154,10 @@ fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>
         let text = format!("line {line}: `{written}`: {message}; a scenario is a TOML file, as `seed = 1`");
         return (Problem { line: Some(line), text }, None);
     };
-    let entry = by_place(document.get_ref(), place);
+    let entry = entry_at(document.get_ref(), place);
     let key = entry.as_ref().map(|(key, _)| format!("{}: ", excerpt(key))).unwrap_or_default();
     let problem = Problem { line: Some(line), text: format!("line {line}: {key}{message}") };
     (problem, entry.map(|(_, range)| range))
-}
-
-/// The beginning of a line. What is neither a letter nor of ASCII is escaped: an editor writes quotation marks and spaces
-/// that look like those of TOML.
-fn visible(line: &str) -> String {
-    let shown = |letter: char| match letter {
-        ' '..='~' => letter.to_string(),
-        _ if letter.is_alphanumeric() => letter.to_string(),
-        _ => letter.escape_default().to_string(),
-    };
-    excerpt(line.trim()).chars().map(shown).collect()
 }
 
 /// The entry of `table.key`; text after a space is ignored.
@@ -191,30 +181,10 @@ fn by_name(text: &str, name: &str) -> Option<Range<usize>> {
     }
 }
 
-/// The innermost entry of a table around a place in the text, with its name from the root.
-fn by_place(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usize>)> {
-    table.iter().find_map(|(key, value)| {
-        if let DeValue::Table(inner) = value.get_ref()
-            && let Some((name, found)) = by_place(inner, place)
-        {
-            return Some((format!("{}.{name}", key.get_ref()), found));
-        }
-        let entry = key.span().start..value.span().end.max(key.span().end);
-        if entry.contains(&place) {
-            return Some((key.get_ref().to_string(), entry));
-        }
-        // The tables of `[[key]]` are outside the entry of the key.
-        let tables = value.get_ref().as_array()?.iter().enumerate();
-        tables.filter_map(|(index, item)| Some((index, item.get_ref().as_table()?))).find_map(|(index, inner)| {
-            by_place(inner, place).map(|(name, found)| (format!("{}.{index}.{name}", key.get_ref()), found))
-        })
-    })
-}
-
 /// The top-level table of a place in the text.
 fn table_of(text: &str, place: usize) -> Option<String> {
     let document = DeTable::parse(text).ok()?;
-    let holds = |value: &DeValue<'_>| matches!(value, DeValue::Table(inner) if by_place(inner, place).is_some());
+    let holds = |value: &DeValue<'_>| matches!(value, DeValue::Table(inner) if entry_at(inner, place).is_some());
     document.get_ref().iter().find(|(_, value)| holds(value.get_ref())).map(|(key, _)| key.get_ref().to_string())
 }
 

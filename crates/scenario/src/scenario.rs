@@ -1,6 +1,6 @@
 //! The scenario: one checked value for all tables, read from TOML.
 
-use heliostat_files::excerpt;
+use heliostat_files::toml_text::in_words;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -14,7 +14,6 @@ use crate::mismatch::Mismatch;
 use crate::overrides;
 use crate::renames::{REMOVED, RENAMES, Renames};
 use crate::runtime::{Actuator, Control};
-use crate::similar::hint;
 use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, NoiseBudget, PowerLaw, Receiver, Room, Users};
 
@@ -245,48 +244,6 @@ pub fn short_hash(content: impl AsRef<[u8]>) -> String {
 
 pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
     ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
-}
-
-/// A message of the parser with words in place of the names of Rust's types, with the known name that an unknown one
-/// resembles, and with the beginnings of long names and values.
-pub(crate) fn in_words(message: &str) -> String {
-    let lines = message.split('\n').map(|line| with_similar_name(&without_struct(&cut_quotes(line))));
-    let message = &lines.collect::<Vec<_>>().join("\n");
-    // TOML has no larger integer.
-    let largest = "a whole number from 0 to 9223372036854775807";
-    let whole = [
-        ("usize", largest),
-        ("u64", largest),
-        ("u32", "a whole number from 0 to 4294967295"),
-        ("u16", "a whole number from 0 to 65535"),
-        ("u8", "a whole number from 0 to 255"),
-    ];
-    let real = ["f64", "f32"].map(|name| (name, "a number"));
-    let lists = [("a sequence", "a list"), ("an array of length", "numbers in a list of length")];
-    let named = whole.into_iter().chain(real).chain(lists);
-    named.fold(message.to_owned(), |text, (name, words)| {
-        text.replace(&format!("expected {name}"), &format!("expected {words}"))
-    })
-}
-
-/// A line with the beginning of each long part between quotation marks.
-fn cut_quotes(line: &str) -> String {
-    let cut = |part: &str| part.split('"').map(excerpt).collect::<Vec<_>>().join("\"");
-    line.split('`').map(cut).collect::<Vec<_>>().join("`")
-}
-
-/// A line with "a table" in place of the name of a struct.
-fn without_struct(line: &str) -> String {
-    let Some((reason, named)) = line.split_once("expected struct ") else { return line.to_owned() };
-    format!("{reason}expected a table{}", named.trim_start_matches(char::is_alphanumeric))
-}
-
-/// A line about an unknown name, followed by the known one that it resembles.
-fn with_similar_name(line: &str) -> String {
-    let mut names = line.split('`').skip(1).step_by(2);
-    let is_about_name = line.starts_with("unknown ") && line.contains(", expected ");
-    let hint = names.next().filter(|_| is_about_name).map(|unknown| hint(unknown, names)).unwrap_or_default();
-    format!("{line}{hint}")
 }
 
 /// Adds the line of the refused key, if the file sets it.

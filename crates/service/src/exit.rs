@@ -3,29 +3,34 @@
 //! | code | meaning |
 //! | --- | --- |
 //! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
-//! | 1 | it failed, or it checked something and found it wrong; a scenario, a policy or an endpoint that cannot be used is a failure |
-//! | 2 | the command line cannot be read, or another input file cannot be used |
+//! | 1 | it failed, or it checked something and found it wrong |
+//! | 2 | what the user typed or named cannot be used: a flag, a scenario, a policy, an endpoint, keys or another file |
 //! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved, also in a process that it started |
 
+use std::error::Error;
 use std::fmt;
 use std::io;
 use std::process::ExitCode;
+
+use heliostat_bus::{BusError, KeyError};
+use heliostat_scenario::{ScenarioError, TraceFileError};
 
 use crate::output;
 
 /// The command failed, or it checked something and found it wrong.
 pub const FAILURE: u8 = 1;
-/// The command line cannot be read, or an input file cannot be used. The argument parser exits with the same code.
+/// What the user typed or named cannot be used. The argument parser exits with the same code.
 pub const USAGE: u8 = 2;
 /// A signal ended the process before its orderly end: 128 + SIGINT, as in a shell.
 pub const INTERRUPTED: u8 = 130;
 
-/// Context of an error that an input file caused: the exit code is then [`USAGE`].
+/// Context of an error that an input of the user caused: the exit code is then [`USAGE`]. The errors of scenarios and of
+/// the settings of a session need none.
 #[derive(Clone, Debug)]
 pub struct UnusableInput(String);
 
 impl UnusableInput {
-    /// A message that names the file and what it cannot be used for.
+    /// A message that names the input and what it cannot be used for.
     pub fn new(message: impl Into<String>) -> Self {
         Self(message.into())
     }
@@ -37,7 +42,12 @@ impl fmt::Display for UnusableInput {
     }
 }
 
-impl std::error::Error for UnusableInput {}
+impl Error for UnusableInput {}
+
+/// The same error as one that an input of the user caused.
+pub fn unusable(error: impl Into<anyhow::Error>) -> anyhow::Error {
+    UnusableInput::new(format!("{:#}", error.into())).into()
+}
 
 /// A signal has ended a process that the command started: the exit code is then [`INTERRUPTED`].
 #[derive(Clone, Copy, Debug, thiserror::Error)]
@@ -57,13 +67,21 @@ pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitC
 }
 
 fn code(error: &anyhow::Error) -> u8 {
-    if error.is::<UnusableInput>() {
+    if error.is::<UnusableInput>() || error.chain().any(is_of_user) {
         USAGE
     } else if error.is::<Interrupted>() {
         INTERRUPTED
     } else {
         FAILURE
     }
+}
+
+/// Whether an error is about what the user typed or named, by its type.
+fn is_of_user(error: &(dyn Error + 'static)) -> bool {
+    error.is::<ScenarioError>()
+        || error.is::<TraceFileError>()
+        || error.downcast_ref::<BusError>().is_some_and(BusError::is_of_settings)
+        || error.downcast_ref::<KeyError>().is_some_and(|keys| BusError::from(keys.clone()).is_of_settings())
 }
 
 /// Whether the reader of standard output, such as `head`, has closed it.
@@ -84,6 +102,17 @@ mod tests {
         let error = unusable.context("in a batch").unwrap_err();
         assert_eq!(code(&error), USAGE);
         assert_eq!(format!("{error:#}"), "in a batch: a.mcap cannot be replayed: no index");
+    }
+
+    #[test]
+    fn a_scenario_and_an_endpoint_that_cannot_be_used_are_told_from_a_process_that_does_not_answer() {
+        let scenario = ScenarioError::SeveralArrays { count: 2 };
+        assert_eq!(code(&anyhow::Error::from(scenario).context("in a batch")), USAGE);
+        assert_eq!(code(&BusError::NoEndpoint.into()), USAGE);
+        let absent = BusError::CannotReach { endpoints: "tcp/127.0.0.1:1".into(), waited_ms: 5 };
+        assert_eq!(code(&absent.into()), FAILURE);
+        let policy = unusable(anyhow!("no file").context("nothing was started"));
+        assert_eq!((code(&policy), format!("{policy:#}")), (USAGE, "nothing was started: no file".to_owned()));
     }
 
     #[test]

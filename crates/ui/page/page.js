@@ -23,8 +23,10 @@ function applyTheme(parts) {
   parts.forEach((part) => part.theme(isDark()));
 }
 
-function showBanner({ now, ages, ended }) {
-  const shown = ended ? endBanner(ended, now) : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
+function showBanner({ now, ages, ended, orders }) {
+  const shown = ended
+    ? endBanner(ended, now)
+    : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"), orders.plan.stop_only);
   const element = at("banner");
   element.hidden = shown === null;
   setText(at("said"), shown ? spoken(shown.text) : "");

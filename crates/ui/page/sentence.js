@@ -85,11 +85,13 @@ export function sentence(now, age, shown, frame) {
 // A text for a screen reader, which reads it again at each change: without ages, which change several times a second.
 export const spoken = (text) => text.replace(/ (for|at least) [\d.]+ (s|min|h)\b( ago)?/g, "");
 
-// Who ordered a stop and why, and when; the server of this page may have opened after the stop.
-function orderedBy({ name, operator, reason, age_s }, isDated) {
+// Who ordered a stop and why, and when, unless the banner has said this time, `said` in s; the server of this page may
+// have opened after the stop.
+function orderedBy({ name, operator, reason, age_s }, said) {
   const why = reason ? ` (${reason})` : "";
   if (/^0+\/0$/.test(name)) return `The array started stopped${why}.`;
-  return `Ordered by ${operator || `stop ${name}`}${why}${isDated ? ` at least ${duration(age_s)} ago` : ""}.`;
+  const known = Math.abs(age_s - said) < 1 ? "" : ` at least ${duration(age_s)} ago`;
+  return `Ordered by ${operator || `stop ${name}`}${why}${known}.`;
 }
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
@@ -113,8 +115,9 @@ export function endBanner(text, now) {
 }
 export const lastSentence = "The figures are the last ones before the end.";
 
-// The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
-export function banner(now, silence, arrayAge, controllerAge) {
+// The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s; `stopOnly`
+// says that the certificate of the page permits no re-arm.
+export function banner(now, silence, arrayAge, controllerAge, stopOnly) {
   const check = asSentence(CHECK_SERVER);
   if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
@@ -124,20 +127,22 @@ export function banner(now, silence, arrayAge, controllerAge) {
   const several = now.array.arrays > 1;
   const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
   const lacking = several ? "Not every array has" : "The array has not";
-  // A stop that is not confirmed has its time already.
-  const by = stops.map((stop) => ` ${orderedBy(stop, phase !== "unconfirmed")}`).join("");
+  // The time of a confirmed stop is not in the text.
+  const said = phase === "unconfirmed" ? since_s : NaN;
+  const by = stops.map((stop) => ` ${orderedBy(stop, said)}`).join("");
   const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
   const ends = lost.length ? " Only reports of the arrays, the return of a lost driver or a release can end this warning." : " Only the arrays can end this warning.";
   const moving = free.map((array) => ` Array ${array} is not stopped: no stop holds it.`).join("");
   switch (phase) {
     case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `${lacking} confirmed the stop for ${duration(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
+      // The words of a controller have the time of the stop that it holds.
+      return { kind: "bad", text: `${lacking} confirmed the stop${held ? "" : ` for ${duration(since_s)}`}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${duration(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
-      return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
+      return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm${stopOnly ? " with the keys of an operator" : ""} releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows. Without telemetry none is known.
     case "released":
       if (lost.length) return { kind: "bad", text: `The stop is released, and a lost driver has not confirmed it. ${lost.map(asSentence).join(" ")}` };

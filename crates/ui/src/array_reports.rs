@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use heliostat_channel::MirrorArrays;
+use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Counters, MirrorTelemetry};
 
 use crate::expiry::EXPIRY;
@@ -110,6 +111,12 @@ impl ArrayReports {
     pub fn silent(&self, arrays: usize) -> Vec<usize> {
         let fresh: Vec<usize> = self.fresh().map(|(array, _)| *array).collect();
         (0..arrays).filter(|array| !fresh.contains(array)).collect()
+    }
+
+    /// The arrays that report that a device does not answer, by telemetry that is not old.
+    pub fn lost_devices(&self) -> Vec<usize> {
+        let is_lost = |(_, telemetry): &(Instant, MirrorTelemetry)| telemetry.faults & fault::LINK != 0;
+        self.fresh().filter(|(_, report)| is_lost(report)).map(|(array, _)| *array).collect()
     }
 
     /// Telemetry of a room with these arrays, with the mirrors of all in index order; `None` where
@@ -237,5 +244,16 @@ mod tests {
         }
         assert_eq!(states, [Stopped, Following, Stopped, Stopped, Stopped]);
         assert_eq!(reports.shared(), [(0, [7, 8])]);
+    }
+
+    #[test]
+    fn an_array_whose_device_does_not_answer_is_named_until_it_reports_otherwise() {
+        let mut reports = ArrayReports::default();
+        let with = |faults| MirrorTelemetry { faults, ..telemetry(ArrayState::Stopped, 2, 0.0) };
+        reports.note(0, with(fault::MIRROR));
+        reports.note(1, with(fault::LINK | fault::STOP));
+        assert_eq!(reports.lost_devices(), [1]);
+        reports.note(1, with(0));
+        assert_eq!(reports.lost_devices(), [0; 0]);
     }
 }

@@ -41,11 +41,13 @@ impl Received {
             notes.extend(absent_drivers(status, arrays, self.arrays.at().is_some()));
             notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
         }
-        notes.extend(self.present_controllers().iter().filter_map(refusing_standby));
+        let controllers = self.present_controllers();
+        notes.extend(self.standby_missing(&controllers).map(String::from));
+        notes.extend(controllers.iter().filter_map(refusing_standby));
         notes.extend(self.telemetry_ages.problems(Instant::now()));
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
-            notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
+            notes.push(if controllers.iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
             } else if self.is_simulated() {
                 format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}")
@@ -82,6 +84,14 @@ impl Received {
         let status = self.fresh_status(NodeKind::Controller.name());
         let is_driverless = status.is_some_and(|status| status.counters.iter().any(is_driver_absent));
         (is_alone && is_driverless && !is_tracked && !self.is_array_present()).then_some(OTHERS_MISSING)
+    }
+
+    /// That the displayed controller has no standby any longer. One that does not report is named by itself.
+    fn standby_missing(&self, controllers: &[ControllerFigures]) -> Option<&'static str> {
+        let status = self.fresh_status(NodeKind::Controller.name())?;
+        let is_missing = status.counter(NodeStatus::STANDBY_MISSING).is_some_and(|missing| missing > 0);
+        let is_named = controllers.iter().any(|one| one.role == Role::Silent);
+        (is_missing && !is_named).then_some(STANDBY_MISSING)
     }
 
     /// What is missing in a room without a controller.
@@ -151,6 +161,8 @@ pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";
 const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
+/// The note about a room whose controller has seen another one, and sees none.
+const STANDBY_MISSING: &str = "the standby has gone: the end of the one controller parks the mirrors; start the standby again, or restart the controller where one is enough";
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
@@ -256,6 +268,27 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_standby_that_has_gone_is_noted_once() {
+        let mut received = commanded();
+        let take = |received: &mut Received, missing| {
+            let status = counting(5, NodeStatus::STANDBY_MISSING, missing);
+            received.controllers.take(&status);
+            received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+            received.alive.insert((NodeKind::Controller.name(), 5));
+        };
+        take(&mut received, 0);
+        assert_eq!(received.notes(1, ago(60)), [""; 0]);
+        take(&mut received, 1);
+        assert_eq!(received.notes(1, ago(60)), [STANDBY_MISSING]);
+        // One that hangs has a line of its own.
+        received.controllers.join(6);
+        received.controllers.age(Duration::from_secs(60));
+        received.alive.insert((NodeKind::Controller.name(), 6));
+        take(&mut received, 1);
+        assert_eq!(received.notes(1, ago(60)), [""; 0]);
     }
 
     #[test]

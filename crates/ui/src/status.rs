@@ -38,6 +38,9 @@ pub struct RoomStatus {
     pub problems: Vec<String>,
     /// Emergency stops, and what each array does about them.
     pub stops: Vec<String>,
+    /// The stops in force, each with its name and its operator.
+    #[serde(skip)]
+    in_force: Vec<String>,
     /// Position reports a second.
     pub reports_per_s: f64,
     /// The figures of the page.
@@ -69,9 +72,11 @@ impl ReportCount {
 impl RoomStatus {
     /// The state that a view and a count show.
     pub fn new(room: &str, view: &View, reports: &ReportCount) -> Self {
+        let of_stops = view.stops.room();
         let mut status = Self {
             room: room.to_owned(),
-            stops: stops(&view.stops.room()),
+            stops: stops(&of_stops),
+            in_force: stop_lines::in_force(&of_stops),
             reports_per_s: reports.rate(),
             figures: view.figures(),
             ..Self::default()

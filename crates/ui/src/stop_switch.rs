@@ -23,7 +23,7 @@ use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
 use crate::stop_watch::{RoomStops, StopWatch};
-use crate::stop_words::{UNKNOWN_ARRAYS, problem, sources_in_words, unrecorded, unreleased};
+use crate::stop_words::{UNKNOWN_ARRAYS, lost_device, problem, unheard, unrecorded, unreleased};
 
 /// What an operator has to know of an endpoint that has not answered in time.
 const UNANSWERED_ENDPOINT: &str =
@@ -207,16 +207,12 @@ impl StopSwitch {
 
     /// What is to be said of controllers that have not reported which drivers they have lost.
     pub fn unheard_controllers(&self) -> Vec<String> {
-        let unheard = self.seen.lock().unheard_controllers();
-        let (named, have, they) = match unheard.len() {
-            0 => return Vec::new(),
-            1 => ("controller", "has", "it has"),
-            _ => ("controllers", "have", "they have"),
-        };
-        let sources = sources_in_words(&unheard);
-        vec![format!(
-            "{named} {sources} {have} not reported which drivers {they} lost: mirrors of a driver that left before may move"
-        )]
+        unheard(&self.seen.lock().unheard_controllers()).into_iter().collect()
+    }
+
+    /// What is to be said after a re-arm of the arrays that report that a device does not answer.
+    pub fn lost_devices(&self) -> Vec<String> {
+        self.seen.lost_devices().into_iter().map(lost_device).collect()
     }
 
     /// The arrays that have stopped, by index, as far as it is known now.
@@ -228,6 +224,11 @@ impl StopSwitch {
     /// What is open of the stops of the room, array by array, as far as it is known now.
     pub fn problems(&self) -> Vec<String> {
         self.room_stops().problems()
+    }
+
+    /// The name of the last stop of this process, once it is given.
+    pub fn own_name(&self) -> Option<StopName> {
+        lock(&self.own).as_ref().map(|own| own.order.name())
     }
 
     /// Whether the last stop of this process is held for any array.

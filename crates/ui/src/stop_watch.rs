@@ -243,6 +243,11 @@ impl StopWatch {
         self.state.arrays().shared()
     }
 
+    /// The arrays that report that a device does not answer.
+    pub fn lost_devices(&self) -> Vec<usize> {
+        self.state.arrays().lost_devices()
+    }
+
     /// The time of the reports, at present.
     pub fn now(&self) -> Duration {
         self.state.opened.elapsed()

@@ -84,6 +84,27 @@ pub(crate) fn lost_beside_another((array, standing): &(usize, Standing)) -> Opti
     ))
 }
 
+/// What an operator has to know after a re-arm of an array that reports that a device does not answer.
+pub(crate) fn lost_device(array: usize) -> String {
+    format!(
+        "array {array} reports that a device does not answer (fault link): its mirrors do not follow until it answers; \
+         check its cable and its power, and the journal of its driver"
+    )
+}
+
+/// What an operator has to know of controllers that have not reported which drivers they have lost.
+pub(crate) fn unheard(controllers: &[u64]) -> Option<String> {
+    let (named, have, they) = match controllers.len() {
+        0 => return None,
+        1 => ("controller", "has", "it has"),
+        _ => ("controllers", "have", "they have"),
+    };
+    let sources = sources_in_words(controllers);
+    Some(format!(
+        "{named} {sources} {have} not reported which drivers {they} lost: mirrors of a driver that left before may move"
+    ))
+}
+
 /// The arrays that have stopped and do not record the stop, in words.
 pub(crate) fn unrecorded(problems: impl IntoIterator<Item = (usize, String)>) -> Vec<String> {
     let line = |(array, problem): (usize, String)| {

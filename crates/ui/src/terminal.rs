@@ -59,7 +59,8 @@ pub struct Screen {
 }
 
 impl Display {
-    /// A full-screen view if input and output are a terminal, one that is not dumb, and `plain` is false, else lines.
+    /// A full-screen view if input and output are a terminal, one that is not dumb, and `plain` is false, else lines. The
+    /// title has one or two lines.
     ///
     /// # Errors
     /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
@@ -248,10 +249,14 @@ mod tests {
     }
 
     fn drawn_with(width: u16, height: u16, figures: &Figures, stops: &[String]) -> String {
+        drawn_under("room demo", (width, height), figures, stops)
+    }
+
+    fn drawn_under(title: &str, (width, height): (u16, u16), figures: &Figures, stops: &[String]) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a backend in memory");
         let sum = figures.sum_mbps.unwrap_or_default();
         terminal
-            .draw(|frame| draw(frame, "room demo", (figures, stops), &[(0.0, sum), (9.0, sum)]))
+            .draw(|frame| draw(frame, title, (figures, stops), &[(0.0, sum), (9.0, sum)]))
             .expect("drawing into memory does not fail");
         terminal.backend().to_string()
     }
@@ -284,6 +289,18 @@ mod tests {
         let screen = drawn(60, 15, &figures(5));
         check(&screen, &USERS);
         check(&screen, &["policy     40.00", "oracle     50.00", "no driver receives", "q quits", "■ minimum met"]);
+    }
+
+    #[test]
+    fn the_second_line_of_a_title_is_drawn_where_the_window_is_high_enough() {
+        let command = "heliostat status --room demo --connect tcp/127.0.0.1:17447";
+        let title = format!("room demo\n{command}");
+        let screen = drawn_under(&title, (80, 24), &figures(5), &[]);
+        check(&screen, &["room demo", command, "policy greedy", "oracle     50.00", "fallbacks", "q quits"]);
+        check(&screen, &USERS);
+        let low = drawn_under(&title, (60, 15), &figures(5), &[]);
+        assert!(!low.contains(command), "{low}");
+        check(&low, &USERS);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-"""A device whose calls are timed from another thread, which names one that does not return."""
+"""A device whose calls are timed: one that does not return is named by another thread, a slow one when it returns."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
-_BLOCKED_S = 2.0
-_LOOK_S = 1.0
+_BLOCKED_S = 1.0
+_LOOK_S = 0.5
+_SLOW_S = 0.5
+"""The shorter interval of a status in the contract. A call that takes longer makes reports late, and stops wait for it."""
+_TIMED = ("turn", "stop", "measure", "health")
 _END_LOOK_S = 0.1
 # A call that has taken this long when the end is requested keeps the driver from it.
 _KEEPS_FROM_END_S = 0.3
@@ -28,6 +31,8 @@ class Watched:
         self._device, self._ended, self._show, self._report = device, ended, show, report
         # The name of the call that has not returned, and its begin.
         self._present: tuple[str, float] | None = None
+        # The longest slow call that was not taken yet, and its duration.
+        self._slow: tuple[str, float] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watch of the device", daemon=True)
         self._end_thread = threading.Thread(target=self._watch_end, name="watch of the end", daemon=True)
@@ -36,13 +41,27 @@ class Watched:
         method = getattr(self._device, name)
 
         def call(*arguments: Any) -> Any:
-            self._present = name, time.monotonic()
+            begin = time.monotonic()
+            self._present = name, begin
             try:
                 return method(*arguments)
             finally:
                 self._present = None
+                self._note(name, time.monotonic() - begin)
 
         return call
+
+    def _note(self, name: str, took: float) -> None:
+        longest = self._slow[1] if self._slow else _SLOW_S
+        if name in _TIMED and took >= longest:
+            self._slow = name, took
+
+    def take_slow(self) -> str:
+        """The longest slow call since the last time; empty without one. For the thread that calls the device."""
+        slow, self._slow = self._slow, None
+        if slow is None:
+            return ""
+        return f"{slow[0]} took {slow[1]:.1f} s: a stop waits for it; expected less than {_SLOW_S} s, or a thread of the device"
 
     def __enter__(self) -> Watched:
         self._thread.start()

@@ -295,12 +295,15 @@ def run(
         claim = Claim(peer)
         latest: dict[str, bytes] = {}
 
+        def with_problem(status: dict[str, Any], problem: str) -> bytes:
+            return encode({**status, "last_problem": problem}, KINDS["status"])
+
         def report(problem: str) -> None:
             # The thread of the station waits for the device.
             if "status" in latest:
                 status = decode(latest["status"], KINDS["status"])
                 status["stamp"]["time_ns"] = time.time_ns()
-                peer.put("status", encode({**status, "last_problem": problem}, KINDS["status"]))
+                peer.put("status", with_problem(status, problem))
 
         watched = ending.enter_context(Watched(device, ended, log.show, report))
         station = Station(
@@ -363,7 +366,11 @@ def run(
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload
-                peer.put(name, payload)
+                if name == "status" and (slow := watched.take_slow()):
+                    shown.note_slow(slow)
+                    peer.put(name, with_problem(decode(payload, KINDS["status"]), slow))
+                else:
+                    peer.put(name, payload)
                 if name == "safety":
                     shown.note_stop(station.stop)
                 if name == "stops":
@@ -461,6 +468,7 @@ class _Shown:
         self._ordered = _EventLimit("further stops are ordered")
         self._executed = _EventLimit("the device has executed further stops")
         self._released = _EventLimit("the array is released again")
+        self._slow = _EventLimit("further calls of the device are slow")
 
     def note_stop(self, stop: str) -> None:
         if stop != self._stop:
@@ -476,6 +484,9 @@ class _Shown:
     def _show(self, limit: _EventLimit, event: str) -> None:
         if line := limit.line(event, time.monotonic()):
             self._log.show(line)
+
+    def note_slow(self, call: str) -> None:
+        self._show(self._slow, call)
 
     def note_status(self, status: dict[str, Any]) -> None:
         problem, counters = status["last_problem"], dict(status["counters"])

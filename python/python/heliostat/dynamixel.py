@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._port_lock import PortLock
 from ._program import USAGE, end_program
 
 try:
@@ -106,6 +107,7 @@ class Dynamixel(Device):
         self._signs = np.array([-1.0 if one in reversed_servos else 1.0 for one in servos])
         self._speed = max(1, int(speed_rad_s / _VELOCITY_STEP_RAD_S))
         self._port, self._packets = sdk.PortHandler(port), sdk.PacketHandler(_PROTOCOL)
+        self._lock = PortLock()
         self._angles = np.zeros(len(servos))
         self._silent: dict[int, str] = {}
         self._errors: dict[int, int] = {}
@@ -121,6 +123,8 @@ class Dynamixel(Device):
         try:
             if self._port.is_open:
                 self._port.closePort()
+            # Before the SDK opens the port: that discards what has arrived for another driver.
+            self._lock.take(self._port.getPortName())
             if not self._port.setBaudRate(self._baud):
                 raise ServoError(f"{self._baud} baud: expected a speed of Dynamixel servos, such as 57600 or 1000000")
         except (OSError, serial.SerialException) as problem:

@@ -7,8 +7,9 @@ use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_driver::calibration_store;
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, exit, output};
 
+use crate::error::NodeError;
 use crate::run;
 use crate::settings::{Pace, Settings};
 
@@ -68,7 +69,12 @@ impl Args {
             bus: self.bus.config_or_listen(&[AccessRole::Simulator])?,
             pace,
             metrics: self.metrics,
-            calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
+            calibration: self
+                .calibration
+                .as_deref()
+                .map(calibration_store::load)
+                .transpose()
+                .map_err(exit::unusable)?,
             record: self
                 .state
                 .clone()
@@ -86,7 +92,13 @@ pub fn run(args: Args) -> Result<()> {
     let settings = args.settings()?;
     let stop = args.end.stop()?;
     let _log = args.log.start();
-    let summary = run::run(&settings, &stop)?;
+    let summary = run::run(&settings, &stop).map_err(|error| match error {
+        NodeError::World(_)
+        | NodeError::Trace(_)
+        | NodeError::Calibration(_)
+        | NodeError::CalibrationOfSeveral { .. } => exit::unusable(error),
+        error => error.into(),
+    })?;
     if args.json {
         output::line(serde_json::to_string(&summary)?)?
     } else {

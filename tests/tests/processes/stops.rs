@@ -136,6 +136,10 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     );
     assert!(!refusal.contains("array 0"), "{refusal}");
     wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
+    wait_until("its stop report", || room.operators(0) == ["ann"]);
+    let name = room.stops[0].get().and_then(|report| report.stops.first().map(|stop| stop.name()));
+    let named = format!("The stop is {}; to release it: `heliostat rearm ", name.expect("a stop with a name"));
+    assert!(refusal.contains(&named), "{refusal}");
     // The command has ended; the controller holds the stop.
     room.start_driver(1);
     wait_until("the stop at the array that returned", || room.operators(1) == ["ann"]);

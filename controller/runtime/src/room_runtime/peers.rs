@@ -4,12 +4,13 @@
 //! minutes. A status comes at least once a second, so its absence shows the cut.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
 use heliostat_bus::{Bus, Subscription};
+use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::{NodeKind, NodeStatus, decode};
 use heliostat_service::locks::lock;
 
@@ -21,9 +22,19 @@ const SILENCE: Duration = Duration::from_secs(5);
 /// Most controllers of which it is remembered that they left while they were silent.
 const LEFT_MAX: usize = 8;
 
-/// When each controller that has a token gave its last sign: its token, or a status.
+/// What is known of the other controllers by their statuses.
 #[derive(Clone, Default)]
-pub struct PeerStatuses(Arc<Mutex<BTreeMap<u64, Instant>>>);
+pub struct PeerStatuses(Arc<Mutex<Seen>>);
+
+#[derive(Default)]
+struct Seen {
+    /// When each controller that has a token gave its last sign: its token, or a status.
+    signs: BTreeMap<u64, Instant>,
+    /// Those of them that are no calibrations, by their statuses.
+    controllers: BTreeSet<u64>,
+    /// Whether there was ever such a one.
+    had_controller: bool,
+}
 
 impl PeerStatuses {
     /// Notes the statuses of the room's controllers, until the subscription is dropped.
@@ -35,25 +46,36 @@ impl PeerStatuses {
         let noted = statuses.clone();
         let receive = move |payload: &[u8]| {
             if let Ok(status) = decode::<NodeStatus>(payload) {
-                noted.note(status.stamp.source, Instant::now());
+                noted.note(&status, Instant::now());
             }
         };
         Ok((statuses, bus.subscribe(&bus.room().status(NodeKind::Controller), receive)?))
     }
 
-    /// A status of this controller has arrived. Without a token it is not kept.
-    fn note(&self, source: u64, at: Instant) {
-        if let Some(last) = lock(&self.0).get_mut(&source) {
-            *last = at;
+    /// A status of a controller has arrived. Without a token it is not kept.
+    fn note(&self, status: &NodeStatus, at: Instant) {
+        let (mut seen, source) = (lock(&self.0), status.stamp.source);
+        let Some(last) = seen.signs.get_mut(&source) else { return };
+        *last = at;
+        if CalibrationProgress::of(status).is_none() {
+            seen.controllers.insert(source);
+            seen.had_controller = true;
         }
+    }
+
+    /// Whether none of these processes is a controller, although there was one.
+    pub fn is_standby_missing(&self, peers: &[u64]) -> bool {
+        let seen = lock(&self.0);
+        seen.had_controller && !peers.iter().any(|peer| seen.controllers.contains(peer))
     }
 
     /// Those of these controllers from which no status has come for [`SILENCE`].
     pub fn silent(&self, peers: &[u64], now: Instant) -> Vec<u64> {
-        let mut last = lock(&self.0);
-        last.retain(|source, _| peers.contains(source));
+        let mut seen = lock(&self.0);
+        seen.signs.retain(|source, _| peers.contains(source));
+        seen.controllers.retain(|source| peers.contains(source));
         let mut is_silent = |source: &u64| {
-            let sign = *last.entry(*source).or_insert(now);
+            let sign = *seen.signs.entry(*source).or_insert(now);
             now.saturating_duration_since(sign) >= SILENCE
         };
         peers.iter().copied().filter(|source| is_silent(source)).collect()
@@ -116,16 +138,43 @@ fn describe_silent(source: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
+
+    fn status(source: u64) -> NodeStatus {
+        NodeStatus { stamp: Stamp { source, ..Stamp::default() }, ..NodeStatus::default() }
+    }
+
+    #[test]
+    fn a_standby_is_missing_after_its_end_until_another_controller_reports() {
+        let (statuses, now) = (PeerStatuses::default(), Instant::now());
+        let is_missing = |peers: &[u64]| {
+            statuses.silent(peers, now);
+            statuses.is_standby_missing(peers)
+        };
+        assert!(!is_missing(&[]), "there was none");
+        assert!(!is_missing(&[7]));
+        let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
+        statuses.note(&NodeStatus { gauges, ..status(7) }, now);
+        assert!(!is_missing(&[]), "the end of a calibration");
+        assert!(!is_missing(&[8]));
+        statuses.note(&status(8), now);
+        assert!(!is_missing(&[8]));
+        assert!(is_missing(&[]));
+        assert!(is_missing(&[9]), "a token alone is no controller that reports");
+        statuses.note(&status(9), now);
+        assert!(!is_missing(&[9]));
+    }
 
     #[test]
     fn a_controller_is_silent_while_its_token_remains_without_a_status() {
         let (statuses, start) = (PeerStatuses::default(), Instant::now());
         assert!(statuses.silent(&[1, 2], start).is_empty(), "the token is a sign");
-        statuses.note(1, start + SILENCE / 2);
-        statuses.note(3, start);
+        statuses.note(&status(1), start + SILENCE / 2);
+        statuses.note(&status(3), start);
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE), [2]);
-        statuses.note(2, start + SILENCE);
+        statuses.note(&status(2), start + SILENCE);
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2), [1]);
         assert!(statuses.silent(&[2], start + SILENCE * 3 / 2).is_empty(), "it has left");
         assert!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2).is_empty(), "it has joined");

@@ -105,6 +105,8 @@ pub struct Conditions {
     pub peers: Vec<u64>,
     /// Those of them whose statuses do not come.
     pub silent_peers: Vec<u64>,
+    /// Whether no other controller is there, although there was one.
+    pub standby_missing: bool,
 }
 
 /// What went wrong since the last status.
@@ -254,6 +256,7 @@ impl Reporter {
             (NodeStatus::EPOCH, summary.epoch),
             (NodeStatus::STANDBY, u64::from(summary.standby)),
             ("peers", summary.peers),
+            (NodeStatus::STANDBY_MISSING, u64::from(self.conditions.standby_missing)),
             (NodeStatus::ARRAY_UNFIT, u64::from(summary.unfit.is_some())),
             (NodeStatus::DRIVER_ABSENT, self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
@@ -380,6 +383,7 @@ impl Reporter {
     /// A condition that began or ended; a second one is reported at the next snapshot.
     fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<(Subject, Problem)> {
         self.conditions.connection = now.connection;
+        self.conditions.standby_missing = now.standby_missing;
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
         if before != self.conditions.without_driver {
             let problem = if self.conditions.without_driver.is_empty() {

@@ -1,7 +1,7 @@
 //! `heliostat config`: the effective configuration of a process from file, flags and defaults.
 
 use anyhow::{Context, Result};
-use heliostat_bus::{BusConfig, Reach, Role};
+use heliostat_bus::{BusConfig, BusError, Reach, Role};
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
 use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_proto::Room;
@@ -10,7 +10,7 @@ use heliostat_sim_node::Pace;
 use serde_json::{Map, Value, json};
 
 use super::demo;
-use heliostat_service::outln;
+use heliostat_service::{exit, outln};
 
 /// Print the effective configuration of a process.
 ///
@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<()> {
     let configuration = match args.process {
         Process::Controller(args) => {
             let config = args.node_config()?;
-            config.check_model()?;
+            config.check_model().map_err(exit::unusable)?;
             let process = json!({
                 "name": "controller",
                 "policy": config.policy.name(),
@@ -72,8 +72,8 @@ pub fn run(args: Args) -> Result<()> {
             document(&settings.scenario, Some(&settings.bus), process)?
         }
         Process::Demo(args) => {
-            let process =
-                json!({ "name": "demo", "policy": args.policy.kind().name(), "room": Room::new(&args.room)?.name() });
+            let room = Room::new(&args.room).map_err(BusError::from)?;
+            let process = json!({ "name": "demo", "policy": args.policy.kind().name(), "room": room.name() });
             // Its endpoints are free ports, chosen at the start.
             document(&args.scenario.load_arrays()?, None, process)?
         }

@@ -10,13 +10,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusArgs, BusConfig, BusError, free_loopback_endpoint};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::{PolicyArgs, build, library};
 use heliostat_proto::Room;
 use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::printable::printable;
 use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, NetworkFile, Operator, Page, PageArgs, ProcessOrder, View};
@@ -62,7 +63,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let opened = Instant::now();
-    let room = Room::new(&args.room)?;
+    let room = Room::new(&args.room).map_err(BusError::from)?;
     let scenario = args.scenario.load_arrays()?;
     args.check_room(&scenario)?;
     let network = args.network(&scenario)?;
@@ -96,6 +97,7 @@ pub fn run(args: Args) -> Result<()> {
         output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    let title = format!("{title}\n{}", status_command(&args.room, endpoints.0));
     let watched = Watched { opened, stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
     let outcome = watch(&args, &watched, &mut processes);
     if let Some(server) = server {
@@ -115,6 +117,12 @@ pub fn run(args: Args) -> Result<()> {
     // The first error says which process ended; a summary that lacks something is its consequence.
     let ended = room_summary.map(drop).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)));
     outcome.map(drop).and(ended).and(printed)
+}
+
+/// The command that shows the state of the demo from another terminal. The room outlives a restart of the controller.
+fn status_command(room: &str, endpoint: &str) -> String {
+    let flags = BusArgs { room: Some(room.to_owned()), connect: vec![endpoint.to_owned()], ..BusArgs::default() };
+    flags.command("heliostat status", "").trim_end().to_owned()
 }
 
 /// What an open page says of a demo that has ended, without a reason by an error.
@@ -196,10 +204,11 @@ impl Args {
     /// Builds room and policy once here, so that an unsuitable walk or actor is refused before any
     /// process starts.
     fn check_room(&self, scenario: &Scenario) -> Result<()> {
-        let trace = scenario.read_trace().context("nothing was started")?;
-        World::new(scenario, trace.as_deref(), scenario.seed).context("nothing was started: there would be no room")?;
+        let nothing = |why: &str| UnusableInput::new(format!("nothing was started{why}"));
+        let trace = scenario.read_trace().with_context(|| nothing(""))?;
+        World::new(scenario, trace.as_deref(), scenario.seed).with_context(|| nothing(": there would be no room"))?;
         build(self.policy.kind(), scenario, &self.policy.actor())
-            .context("nothing was started: the controller would have no policy")?;
+            .with_context(|| nothing(": the controller would have no policy"))?;
         Ok(())
     }
 
@@ -243,6 +252,12 @@ impl Args {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_header_of_a_demo_has_the_command_that_connects_to_its_room() {
+        let command = status_command("studio", "tcp/127.0.0.1:17447");
+        assert_eq!(command, "heliostat status --room studio --connect tcp/127.0.0.1:17447");
+    }
 
     #[test]
     fn the_last_sentence_of_the_page_says_why_the_demo_has_ended() {

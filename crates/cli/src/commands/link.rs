@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::mirrors::{Instant, check_inside, parse_position};
 use super::number_table;
-use heliostat_service::outln;
+use heliostat_service::{exit, outln};
 
 /// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
@@ -203,7 +203,7 @@ impl LinkBudgetReport {
     fn new(scenario: &Scenario, instant: &Instant, args: &Args) -> Result<Self> {
         let (model, scene) = (instant.model, &instant.observation.scene);
         let (users, mirrors) = (scene.users(), model.mirrors.len());
-        let angles = instant.angles(&args.angles)?;
+        let angles = instant.angles(&args.angles).map_err(exit::unusable)?;
         let (mut irs, mut sinr, mut each) = (vec![0.0; users], vec![0.0; users], vec![0.0; users * mirrors]);
         scene.irs_gain(model, &angles, &mut irs);
         scene.sinr(model, &angles, &mut sinr);

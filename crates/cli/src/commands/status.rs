@@ -21,7 +21,7 @@ const OBSERVED: Duration = Duration::from_millis(2300);
 ///
 /// In a healthy room a controller leads, or a calibration commands the mirrors. Position reports arrive here,
 /// or a controller decides on them. Every array follows, and each controller reports. No standby refuses the
-/// reports, and no stop is in force. The expected light arrives, and telemetry is at most 50 ms old when it
+/// reports or has gone, and no stop is in force. The expected light arrives, and telemetry is at most 50 ms old when it
 /// arrives here. No process reports a problem whose cause recurs.
 ///
 /// Connect to one process of the room, which passes on the messages of those to which it is connected, or to

@@ -1,31 +1,31 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
 mod order;
+mod words;
 
 use std::fmt::Display;
 use std::io;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, KeyError};
+use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, Identity, KeyError};
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_proto::{Room, StopName};
-use heliostat_service::printable::printable;
-use heliostat_service::{EndArgs, duration, output};
-use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
+use heliostat_service::{EndArgs, duration, exit, output};
+use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
 use super::join::Unconnected;
 use order::{Order, unsent};
+use words::{
+    HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_in_words,
+    release_in_words, with_reach, with_releases, with_state, with_stops,
+};
 
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// Time after which a change of the confirmation of a held stop is shown: a late report is none.
 const SETTLED: Duration = Duration::from_secs(1);
-/// What becomes of a stop of which a problem is shown, and how to end it.
-const HELD: &str = "the stop is held: end with Ctrl-C";
-/// What to do where further stops may hold the arrays.
-const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
 /// Stop all mirrors of a room at once, and wait until every array confirms it.
 ///
@@ -110,14 +110,16 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
     // Nothing keeps a stop that is held from being sent.
     let end = args.hold.then(|| args.end.stop());
+    // Every role may stop the array, so any certificate of the folder serves.
+    let config = args.order.config_of_any_role()?;
+    let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
+    let release = Release::new(&args.order.bus, rights);
     match &end {
-        None => order.end_with_a_word("heliostat stop", given),
-        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given),
+        None => order.end_with_a_word("heliostat stop", given(release.clone())),
+        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given(release.clone())),
         // It shows when the stop is held.
         Some(Err(_)) => {}
     }
-    // Every role may stop the array, so any certificate of the folder serves.
-    let config = args.order.config_of_any_role()?;
     let joined = if args.hold { order.join_and_wait(config) } else { order.join_at_once(config) };
     let (switch, room) = (&order.switch, joined?);
     if let Some(arrays) = args.arrays {
@@ -125,10 +127,11 @@ pub fn stop(args: StopArgs) -> Result<()> {
     }
     let joined = begun.elapsed();
     order.note_sent();
-    let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took).map_err(with_reach);
+    let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took);
+    let stopped = stopped.map_err(|error| with_reach(error, &own_in_words(switch, &release)));
     note_unverified(switch);
     let Some(end) = end else {
-        let unrecorded = args.order.report(&room, switch, stopped?, begun)?;
+        let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release)?;
         let closed = order.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
@@ -136,7 +139,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     // Before the notes: a signal that answers them ends the stop as one that is held.
     order.note_held();
     let note = |error: &dyn Display| output::note(format_args!("heliostat stop: {error}; {HELD}"));
-    let report = |took| match args.order.report(&room, switch, took, begun) {
+    let report = |took| match args.order.report(&room, switch, (took, begun), &release) {
         Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
         Err(error) => note(&error),
     };
@@ -183,55 +186,6 @@ pub fn stop(args: StopArgs) -> Result<()> {
     Ok(())
 }
 
-/// A change of the confirmation of a held stop that was confirmed before.
-fn confirmation_in_words(is_confirmed: bool, open: impl FnOnce() -> String) -> String {
-    match is_confirmed {
-        true => "heliostat stop: every array confirms the stop again".to_owned(),
-        false => format!("heliostat stop: not every array confirms the stop any longer: {}; {HELD}", open()),
-    }
-}
-
-/// What is known of a stop on its way, array by array.
-fn given(switch: &StopSwitch) -> String {
-    if switch.is_own_confirmed() {
-        return "every array that this command sees has confirmed the stop".to_owned();
-    }
-    format!(
-        "the stop was given, and is not confirmed: {}. It may not have left, and is in force only where it arrived",
-        open_in_words(switch)
-    )
-}
-
-/// What is open of the stops of the room, and which arrays have stopped.
-fn open_in_words(switch: &StopSwitch) -> String {
-    let stopped: Vec<String> = switch.stopped_arrays().iter().map(usize::to_string).collect();
-    let stopped = if stopped.is_empty() { "none".to_owned() } else { format!("array {}", stopped.join(", ")) };
-    let stopped = [format!("stopped by their reports: {stopped}")];
-    stopped.into_iter().chain(switch.problems()).collect::<Vec<_>>().join("; ")
-}
-
-/// An error of a stop; of an unconfirmed one with what this command cannot see.
-fn with_reach(error: UiError) -> anyhow::Error {
-    match error {
-        UiError::StopUnconfirmed { ref arrays, .. } => {
-            let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
-            let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
-            anyhow!(
-                "{error}{count}. The stop was sent, and stays in force where it arrived; an array that returns later can \
-                 get it then, and stop. Reports come only from the processes in --connect: with the endpoint of its \
-                 driver, heliostat status shows what an array does"
-            )
-        }
-        error @ UiError::NoReceiver(_) => {
-            anyhow!(
-                "{error}. No array received the stop, and the mirrors go on moving; an array that connected during the wait \
-                 may have it"
-            )
-        }
-        error => error.into(),
-    }
-}
-
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
@@ -240,6 +194,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned()
     });
     let room = order.join_widely(args.order.bus.config_or_connect(&[AccessRole::Operator])?)?;
+    let release = Release::new(&args.order.bus, Rights::All);
     let switch = &order.switch;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
@@ -249,12 +204,13 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
             if found.is_empty() {
                 let error = anyhow!("the stop {name} is not in force; nothing was sent");
-                return Err(with_held(error, switch.held_by_controller().as_deref()));
+                return Err(with_state(error, switch.held_by_controller().as_deref(), &switch.lost_devices()));
             }
             found
         }
         (None, false) if stops.len() > 1 => {
-            return Err(UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() }.into());
+            let several = UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() };
+            bail!("{several}: `{}`, or `{}`", release.of_stop(stops[0].name), release.of_all());
         }
         _ => stops,
     };
@@ -270,9 +226,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
             error => error,
         };
-        with_held(error.into(), switch.held_by_controller().as_deref())
+        with_state(error.into(), switch.held_by_controller().as_deref(), &switch.lost_devices())
     })?;
     lost.iter().for_each(output::note);
+    switch.lost_devices().into_iter().for_each(output::note);
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
     let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost);
@@ -282,22 +239,6 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     }
     written?;
     Ok(closed?)
-}
-
-/// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state.
-fn with_held(error: anyhow::Error, held: Option<&str>) -> anyhow::Error {
-    match held {
-        Some(held) => anyhow!(
-            "{error}. Commands are {held}: the controller still holds this, and stops an array that returns; repeat the re-arm \
-             when it reports"
-        ),
-        None => error,
-    }
-}
-
-/// Whether one of these stops stands for others that the array could not list: their holders repeat them.
-fn may_follow(released: &[RoomStop]) -> bool {
-    released.iter().any(|stop| stop.stands_for_unlisted)
 }
 
 /// Names the arrays that two processes drive: the reports of one hide those of the other. Names the controllers that
@@ -323,13 +264,19 @@ impl OrderArgs {
             }
         }
         match unusable {
-            Some(error) => Err(unsent(&Unconnected::advised(error))),
+            Some(error) => Err(exit::unusable(unsent(&Unconnected::advised(error)))),
             None => Ok(self.bus.config_or_connect(&AccessRole::ALL)?),
         }
     }
 
     /// Prints that every array is stopped, with the stops in force; returns the arrays that do not record the stop.
-    fn report(&self, room: &Room, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
+    fn report(
+        &self,
+        room: &Room,
+        switch: &StopSwitch,
+        (took, begun): (Duration, Instant),
+        release: &Release,
+    ) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         let (written, unrecorded) = if self.json {
@@ -341,8 +288,7 @@ impl OrderArgs {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            let text = with_stops(text, "the stop", stops);
-            (print_outcome(&format!("{text}\n{}", release_command(stops, &self.bus))), find_unrecorded())
+            (print_outcome(&with_releases(text, stops, release)), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {
@@ -375,19 +321,6 @@ impl OrderArgs {
     }
 }
 
-/// What a release has done, and what may hold the arrays after it.
-fn release_in_words(room: &str, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> String {
-    let further = || may_follow(released).then(|| format!("further stops may hold the arrays: {LOOK_AND_REPEAT}"));
-    let took_ms = took.as_secs_f64() * 1e3;
-    match still_stopped(held).or_else(further) {
-        Some(rest) => {
-            let (stops, are) = if released.len() == 1 { ("stop", "is") } else { ("stops", "are") };
-            format!("the named {stops} of room {room} {are} released, confirmed after {took_ms:.1} ms; {rest}")
-        }
-        None => format!("the arrays of room {room} are released, confirmed after {took_ms:.1} ms"),
-    }
-}
-
 /// Prints what an order has done: to standard error where standard output cannot be written.
 fn print_outcome(text: &str) -> io::Result<()> {
     output::line(text).inspect_err(|_| output::note(text))
@@ -411,88 +344,4 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
         "operator": operator,
         "reason": reason,
     })
-}
-
-/// The command that releases these stops, for an operator who has just stopped the room.
-fn release_command(stops: &[RoomStop], bus: &BusArgs) -> String {
-    let flag = match stops {
-        [stop] => format!("--stop {}", stop.name),
-        _ => "--stop NAME for one of them, or --all".to_owned(),
-    };
-    format!("to release: {}", bus.command("heliostat rearm", &flag))
-}
-
-/// A text, with one line for each stop, which begins with what it is.
-fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String {
-    let line = |RoomStop { name, operator, reason, .. }: &RoomStop| {
-        let (operator, reason) = (printable(operator), printable(reason));
-        let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
-        format!("{what}: {name}{by}: \"{reason}\"")
-    };
-    let lines: Vec<String> = [text].into_iter().chain(stops.iter().map(line)).collect();
-    lines.join("\n")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_stop_in_a_room_of_unknown_size_names_the_flag_for_it() {
-        let text = |arrays: &[&str]| {
-            let arrays = arrays.iter().map(|open| (*open).to_owned()).collect();
-            with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }).to_string()
-        };
-        assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
-        assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
-        assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
-    }
-
-    /// A stop without sender.
-    fn stop(stands_for_unlisted: bool) -> RoomStop {
-        RoomStop {
-            name: StopName::default(),
-            operator: String::new(),
-            reason: "no record".to_owned(),
-            arrays: vec![0],
-            known: Duration::ZERO,
-            stands_for_unlisted,
-        }
-    }
-
-    #[test]
-    fn a_stop_names_the_command_that_releases_it_and_a_release_what_it_released() {
-        let stop = stop(false);
-        let bus = BusArgs::default();
-        let one = release_command(std::slice::from_ref(&stop), &bus);
-        assert_eq!(one, "to release: heliostat rearm --stop 0000000000000000/0");
-        let several = release_command(&[stop.clone(), stop.clone()], &bus);
-        assert_eq!(several, "to release: heliostat rearm --stop NAME for one of them, or --all");
-        let released = with_stops("done".to_owned(), "released", &[stop]);
-        assert_eq!(released, "done\nreleased: 0000000000000000/0: \"no record\"");
-    }
-
-    #[test]
-    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
-        let words = |unlisted| release_in_words("lab", Duration::from_millis(5), &[stop(unlisted)], &[]);
-        assert_eq!(words(false), "the arrays of room lab are released, confirmed after 5.0 ms");
-        let unlisted = words(true);
-        assert!(unlisted.starts_with("the named stop of room lab is released, confirmed after 5.0 ms"), "{unlisted}");
-        assert!(unlisted.contains("further stops may hold the arrays: look at `heliostat status`"), "{unlisted}");
-    }
-
-    #[test]
-    fn a_rearm_without_an_array_names_the_stop_that_the_controller_still_holds() {
-        let text = |held| with_held(UiError::NoReceiver("array").into(), held).to_string();
-        let held = text(Some("withheld by the stop of bea"));
-        assert!(held.starts_with("no array received the order: "), "{held}");
-        assert!(held.contains(". Commands are withheld by the stop of bea: the controller still holds this"), "{held}");
-        assert_eq!(text(None), UiError::NoReceiver("array").to_string());
-    }
-
-    #[test]
-    fn a_stop_that_no_array_received_was_published_all_the_same() {
-        let text = with_reach(UiError::NoReceiver("array")).to_string();
-        assert!(text.ends_with("an array that connected during the wait may have it"), "{text}");
-    }
 }

@@ -74,6 +74,29 @@ fn scenario_new_writes_a_file_that_check_accepts() {
 }
 
 #[test]
+fn what_the_user_typed_or_named_and_cannot_be_used_has_one_exit_status() {
+    for command in [
+        "demo --policy fixd",
+        "demo --scenario absent.toml",
+        "demo --policy ddpg --model absent.onnx",
+        "demo --room a/b",
+        "sim-node --set users.count=99",
+        "controller --connect tcp/nowhere",
+        "config controller --connect tcp/127.0.0.1:7447 --policy ddpg --model absent.onnx",
+        "status --connect nowhere",
+        "stop --connect tls/127.0.0.1:7447 --tls absent",
+        "driver run --config absent.toml",
+        "replay absent.mcap",
+    ] {
+        let ended = heliostat(&command.split(' ').collect::<Vec<_>>());
+        assert_eq!(ended.status.code(), Some(2), "{command}: {}", String::from_utf8_lossy(&ended.stderr));
+    }
+    // A process that does not answer is a failure. The port is reserved.
+    let absent = heliostat(&["status", "--connect", "tcp/127.0.0.1:1"]);
+    assert_eq!(absent.status.code(), Some(1), "{}", String::from_utf8_lossy(&absent.stderr));
+}
+
+#[test]
 fn scenario_check_applies_overrides() {
     let check = |set: &str| heliostat(&["scenario", "check", "hall", "--set", set]);
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");

@@ -135,6 +135,9 @@ fn with_advice(error: &std::io::Error) -> String {
     let advice = match error.kind() {
         ErrorKind::NotFound => "connect the device, or correct its address",
         ErrorKind::PermissionDenied => "give this process the right to use the port, for example by the group dialout",
+        ErrorKind::ResourceBusy => {
+            "end the process that uses the port, for example another driver, or correct the address of one of both"
+        }
         ErrorKind::ConnectionRefused => "start the program that listens there, or correct the address",
         _ => return error.to_string(),
     };

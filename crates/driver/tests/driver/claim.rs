@@ -52,7 +52,7 @@ fn of_two_claims_that_begin_together_the_one_with_the_higher_source_id_is_given_
 /// where it took the other one for late, as on a machine that stood still.
 fn driver_beside_another(config: &BusConfig, endpoint: &str) -> Option<String> {
     let (stop, is_late) = (Stop::default(), Arc::new(Mutex::new(false)));
-    let kit = Kit::new(toml::from_str::<Config>(BOARD).unwrap().wall().unwrap());
+    let kit = Kit::new(heliostat_files::from_toml::<Config>(BOARD).unwrap().wall().unwrap());
     let settings = Settings::new(config.clone().listen_at(endpoint));
     let observer = Bus::open(&config.clone().connect_to(endpoint)).unwrap();
     let keys = observer.room().array(0);

@@ -24,7 +24,7 @@ use crate::{LIMIT, until};
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
 fn wall(text: &str) -> Wall {
-    toml::from_str::<Config>(text).expect("the file is valid").wall().expect("the array is valid")
+    heliostat_files::from_toml::<Config>(text).expect("the file is valid").wall().expect("the array is valid")
 }
 
 /// Waits until the emulated device has received as much as expected; returns so much of what it received. A

@@ -52,7 +52,8 @@ fn the_driver_sends_and_accepts_the_bytes_of_the_documented_example() {
     let file = format!(
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = [0, 1]"
     );
-    let mut device = toml::from_str::<Config>(&file).expect("the file is valid").wall().expect("the array is valid");
+    let mut device =
+        heliostat_files::from_toml::<Config>(&file).expect("the file is valid").wall().expect("the array is valid");
     device.connect(NOW).unwrap();
     device.apply(NOW, &MirrorAngles { roll: vec![0.2, 0.1], yaw: vec![0.4, -0.3] }).unwrap();
     device.request_measurement();

@@ -193,7 +193,7 @@ fn driven(room: &str, folder: &Path, addresses: &[&str], check: impl FnOnce(&mut
     };
     let boards: String = addresses.iter().enumerate().map(board).collect();
     let text = format!("rows = 1\ncolumns = {}\n{boards}", addresses.len());
-    let kit = Kit::new(toml::from_str::<Config>(&text).unwrap().wall().unwrap());
+    let kit = Kit::new(heliostat_files::from_toml::<Config>(&text).unwrap().wall().unwrap());
     let record = StopRecordSettings { directory: Some(folder.to_owned()), start_armed: true };
     let settings = Settings { record, ..Settings::new(config.clone().listen_at(&endpoint)) };
     let (stop, is_ended) = (Stop::default(), AtomicBool::new(false));

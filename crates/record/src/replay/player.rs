@@ -14,6 +14,7 @@ use heliostat_proto::{
     Capabilities, ControllerInput, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode,
 };
 use heliostat_scenario::{Belief, DegradedAction};
+use heliostat_service::exit;
 
 use super::comparison::Comparison;
 use super::epoch::EpochReplay;
@@ -92,7 +93,7 @@ impl<'a> Player<'a> {
         };
         let scenario = &self.plan.scenario;
         let source = ActorSource::from(self.settings.model.clone());
-        let policy = build(kind, scenario, &source)?;
+        let policy = build(kind, scenario, &source).map_err(exit::unusable)?;
         self.check_actor(epoch, policy.as_ref())?;
         let replaced = self.replaced(epoch, policy.as_ref());
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);

@@ -5,6 +5,8 @@ use heliostat_proto::messages::fault;
 
 use super::RoomStatus;
 use crate::causes::{FAULTS, NOT_FOLLOWING};
+use crate::stop_state::StopFigure;
+use crate::stop_watch::RoomStops;
 
 impl RoomStatus {
     /// Whether the stops have this problem of a process, as that of a stop that is not recorded.
@@ -36,18 +38,30 @@ impl RoomStatus {
         if is_executed { array.state.clone() } else { format!("{} (a device has not executed the stop)", array.state) }
     }
 
-    /// The stops, unless each is a problem with a line of its own. Only the reports of an array show that no stop holds
-    /// it.
+    /// The stops, or only their names where each is a problem with a line of its own. Only the reports of an array show
+    /// that no stop holds it.
     pub(super) fn stop_line(&self) -> String {
         let silent = &self.figures.array.silent;
         match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
-            (false, ..) if self.stops.iter().all(|stop| self.problems.contains(stop)) => "see the problems".into(),
+            (false, ..) if self.stops.iter().all(|stop| self.problems.contains(stop)) => match &self.in_force[..] {
+                [] => "held, and no array here reports it".into(),
+                stops => format!("{} in force: {}", stops.len(), stops.join(", ")),
+            },
             (false, ..) => self.stops.join("; "),
             (true, true, true) => "none".into(),
             (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
             (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
         }
     }
+}
+
+/// The stops in force, each with its name and its operator.
+pub(super) fn in_force(room: &RoomStops) -> Vec<String> {
+    let named = |StopFigure { name, operator, .. }: StopFigure| match operator.is_empty() {
+        true => name,
+        false => format!("{name} of {operator}"),
+    };
+    StopFigure::of(room).into_iter().map(named).collect()
 }
 
 /// A fault of an array by its name. What ends it is added where that is no repair of the device.
@@ -65,9 +79,13 @@ fn with_advice(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use heliostat_proto::StopName;
+    use heliostat_proto::reported_stops::{RoomStop, Standing};
+
     use crate::controllers::{ControllerFigures, Role};
     use crate::figures::{ArrayFigures, Figures, NodeFigures};
-    use crate::stop_watch::RoomStops;
     use crate::terminal::texts::stops;
 
     use super::*;
@@ -170,6 +188,24 @@ mod tests {
         assert_eq!(problems.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
         let text = RoomStatus { problems, ..status }.to_string();
         assert_eq!(text.matches(held).count(), 1, "{text}");
-        assert!(text.contains("\nstops        see the problems\n"), "{text}");
+        assert!(text.contains("\nstops        held, and no array here reports it\n"), "{text}");
+    }
+
+    #[test]
+    fn the_row_of_the_stops_names_each_of_them_where_the_problems_have_the_rest() {
+        let named = |source, operator: &str| RoomStop {
+            name: StopName { source, sequence: 4 },
+            operator: operator.to_owned(),
+            reason: "ladder".to_owned(),
+            arrays: vec![0],
+            known: Duration::ZERO,
+            stands_for_unlisted: false,
+        };
+        let held = vec![named(3, "anna"), named(5, "")];
+        let room = RoomStops { stops: held, standings: vec![(0, Standing::Stopped)], ..RoomStops::default() };
+        let (stops, in_force) = (stops(&room), in_force(&room));
+        let status = RoomStatus { problems: stops.clone(), stops, in_force, ..RoomStatus::default() };
+        let row = "\nstops        2 in force: 0000000000000003/4 of anna, 0000000000000005/4\n";
+        assert!(status.to_string().contains(row), "{status}");
     }
 }

@@ -16,6 +16,8 @@ const USER_BAR: u16 = 20;
 const SUM_BAR: u16 = 14;
 /// Width of times and counts in characters.
 const TIMES_WIDTH: u16 = 38;
+/// Most rows of the title.
+const TITLE_ROWS: usize = 2;
 /// Most rows about emergency stops.
 const STOP_ROWS: usize = 5;
 /// Rows of the sum rates with their title.
@@ -29,7 +31,8 @@ const WIDE: u16 = 76;
 const GOOD: Color = Color::Rgb(0x00, 0x9E, 0x73);
 const BAD: Color = Color::Rgb(0xD5, 0x5E, 0x00);
 
-/// Draws the view: the figures, and the lines about emergency stops.
+/// Draws the view: the figures, and the lines about emergency stops. Of a title of several lines a low window has the
+/// first one.
 pub(super) fn draw(
     frame: &mut Frame,
     title: &str,
@@ -44,11 +47,14 @@ pub(super) fn draw(
     let most = if height >= 24 { STOP_ROWS } else { 1 };
     let stops = stop_lines(stops, most);
     let stop_rows = stops.len() as u16;
-    let users = users.min(height.saturating_sub(3 + stop_rows + problem_rows + counts.max(SUM_ROWS)).max(2));
-    let rows = [Constraint::Length(2 + stop_rows), Constraint::Length(users), Constraint::Fill(1)];
+    let titles: Vec<&str> = title.lines().take(if height >= 24 { TITLE_ROWS } else { 1 }).collect();
+    let title_rows = titles.len() as u16;
+    let users =
+        users.min(height.saturating_sub(2 + title_rows + stop_rows + problem_rows + counts.max(SUM_ROWS)).max(2));
+    let rows = [Constraint::Length(1 + title_rows + stop_rows), Constraint::Length(users), Constraint::Fill(1)];
     let foot = [Constraint::Length(problem_rows), Constraint::Length(1)];
     let areas = Layout::vertical(rows.into_iter().chain(foot)).split(frame.area());
-    frame.render_widget(heading(title, figures, stops), areas[0]);
+    frame.render_widget(heading(&titles, figures, stops), areas[0]);
     draw_users(frame, areas[1], figures);
     if is_wide {
         let columns = [Constraint::Fill(1), Constraint::Length(TIMES_WIDTH)];
@@ -89,7 +95,7 @@ fn stop_lines(stops: &[String], most: usize) -> Vec<Line<'static>> {
     stops.iter().take(shown).cloned().chain(rest).map(|text| Line::from(text).fg(BAD).bold()).collect()
 }
 
-fn heading(title: &str, figures: &Figures, stops: Vec<Line<'static>>) -> Paragraph<'static> {
+fn heading(titles: &[&str], figures: &Figures, stops: Vec<Line<'static>>) -> Paragraph<'static> {
     let state = figures.array.state.as_str();
     let is_normal = matches!(state, "following" | "holding");
     let unusable = match figures.array.unusable {
@@ -102,15 +108,16 @@ fn heading(title: &str, figures: &Figures, stops: Vec<Line<'static>>) -> Paragra
         (false, true) => "  controller not seen",
         (false, false) => "  no controller",
     };
-    let lines = [
-        Line::from(vec![Span::from("Heliostat  ").bold(), Span::from(title.to_owned()).dim()]),
-        Line::from(vec![
-            Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),
-            Span::from(format!("{state}{unusable}")).fg(if is_normal { GOOD } else { BAD }),
-            Span::from(controller).fg(BAD),
-        ]),
-    ];
-    Paragraph::new(lines.into_iter().chain(stops).collect::<Vec<_>>())
+    let line = |(index, text): (usize, &&str)| {
+        let program = if index == 0 { "Heliostat  " } else { "           " };
+        Line::from(vec![Span::from(program).bold(), Span::from((*text).to_owned()).dim()])
+    };
+    let state = Line::from(vec![
+        Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),
+        Span::from(format!("{state}{unusable}")).fg(if is_normal { GOOD } else { BAD }),
+        Span::from(controller).fg(BAD),
+    ]);
+    Paragraph::new(titles.iter().enumerate().map(line).chain([state]).chain(stops).collect::<Vec<_>>())
 }
 
 fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {

@@ -27,6 +27,7 @@ use heliostat_scenario::{Belief, Scenario, ScenarioArgs, override_keys};
 use heliostat_service::duration::seconds;
 use serde_json::json;
 
+use heliostat_service::exit;
 use heliostat_service::outln;
 use heliostat_service::whole_file;
 use interruption::Interruption;
@@ -288,14 +289,14 @@ pub fn run(args: Args) -> Result<()> {
     let grid = grid.as_ref();
     args.check_keys()?;
     let settings: Vec<Settings> = match grid {
-        None => vec![args.settings(None)?],
+        None => vec![args.settings(None).map_err(exit::unusable)?],
         // An invalid value is refused before the work starts.
         Some(grid) => {
             let points = grid.points().iter().zip(grid.changes());
             let of_point = |(point, change): (&Vec<&str>, Change)| {
                 args.settings(Some(change)).with_context(|| format!("--sweep at {}", grid.name(point)))
             };
-            points.map(of_point).collect::<Result<_>>()?
+            points.map(of_point).collect::<Result<_>>().map_err(exit::unusable)?
         }
     };
     if let (Some(grid), Some(first)) = (grid, settings.first()) {

@@ -15,8 +15,8 @@ use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use heliostat::commands::mirrors::Instant;
 use heliostat_service::counted::counted;
-use heliostat_service::outln;
 use heliostat_service::whole_file;
+use heliostat_service::{exit, outln};
 use picture::Picture;
 use quantity::Quantity;
 
@@ -81,7 +81,7 @@ pub fn run(args: Args) -> Result<()> {
     let mut world = World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
     world.step(args.at_seconds);
     let instant = Instant::new(&scenario, world.model(), world.positions(), world.blockers(), world.forced());
-    let angles = instant.angles(&args.array)?;
+    let angles = instant.angles(&args.array).map_err(exit::unusable)?;
     let mut evaluate = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
     let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut evaluate);
     let picture = Picture { quantity: args.what, mirrors: &args.array, scenario: &scenario, world: &world, map: &map };

@@ -22,6 +22,7 @@ use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::
 use heliostat_models::{ActorSource, BareSession, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
+use heliostat_service::exit;
 
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::rows::{Row, Table, Times, Varied};
@@ -73,7 +74,7 @@ enum Engine {
 impl Subject<'_> {
     fn build(&self) -> Result<Box<dyn Policy>> {
         match self.engine {
-            Engine::Own => Ok(build(self.kind, self.scenario, self.source)?),
+            Engine::Own => build(self.kind, self.scenario, self.source).map_err(exit::unusable),
             Engine::OnnxRuntime => {
                 Ok(Box::new(self.load(&self.source.fetch(self.kind, self.scenario)?)?.named(self.kind.name())))
             }

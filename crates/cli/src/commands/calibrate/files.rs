@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Result;
-use heliostat_service::exit::UnusableInput;
+use heliostat_service::exit::unusable;
 use heliostat_service::whole_file::{self, Held};
 
 use super::args::Args;
@@ -11,8 +11,8 @@ use super::args::Args;
 /// Holds the files until the process ends.
 ///
 /// # Errors
-/// [`UnusableInput`]: a result that exists already, a file that cannot be written, that has two purposes, or
-/// that another process writes.
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput): a result that exists already, a file that cannot be
+/// written, that has two purposes, or that another process writes.
 pub fn hold(args: &Args) -> Result<Vec<Held>> {
     let results = [args.out.as_ref(), args.room_out.as_ref()];
     results.into_iter().flatten().try_for_each(|file| whole_file::check_new(file)).map_err(unusable)?;
@@ -21,11 +21,6 @@ pub fn hold(args: &Args) -> Result<Vec<Held>> {
     let held =
         files.map(|file| whole_file::check_writable(file).and_then(|()| whole_file::hold(file)).map_err(unusable));
     held.collect()
-}
-
-/// A refused file as an error of the input.
-fn unusable(error: anyhow::Error) -> anyhow::Error {
-    UnusableInput::new(format!("{error:#}")).into()
 }
 
 /// Refuses one file for two purposes.

@@ -1,6 +1,6 @@
 //! Unix: terminals, sockets and poll(2).
 
-use std::fs::{File, Metadata, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
@@ -58,7 +58,8 @@ pub fn is_serial_port(found: &Metadata) -> bool {
     found.file_type().is_char_device()
 }
 
-/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, no waiting.
+/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, no waiting. Until it is closed, this lock
+/// keeps other drivers from it: their bytes would mix, and TIOCEXCL does not bind root.
 pub fn open_serial(path: &str, baud: u32) -> io::Result<File> {
     let speed = known_speeds().find(|(known, _)| *known == baud).map(|(_, speed)| speed);
     let speed = speed.ok_or_else(|| io::Error::other(format!("unknown speed of {baud} baud")))?;
@@ -71,6 +72,10 @@ pub fn open_serial(path: &str, baud: u32) -> io::Result<File> {
         Errno::ENOTTY => io::Error::other("it is no serial port; expected one, for example /dev/ttyUSB0"),
         other => other.into(),
     })?;
+    // Some systems lock no device: the port works there too.
+    if matches!(port.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process has this port"));
+    }
     termios::cfmakeraw(&mut settings);
     termios::cfsetspeed(&mut settings, speed)?;
     settings.control_chars[SpecialCharacterIndices::VMIN as usize] = 0;
@@ -139,9 +144,23 @@ pub fn wait(stream: &dyn Stream, wake_up: &WakeUp, ready: Ready, limit: Duration
 
 #[cfg(test)]
 mod tests {
+    use std::os::fd::AsRawFd;
+
     #[test]
     fn a_device_that_is_no_terminal_is_named() {
         let error = super::open_serial("/dev/null", 9_600).expect_err("no terminal");
         assert!(error.to_string().starts_with("it is no serial port; expected one"), "{error}");
+    }
+
+    #[test]
+    fn a_port_has_one_user_until_it_is_closed() {
+        let terminal = nix::pty::openpty(None, None).expect("a pseudo-terminal");
+        let path = std::fs::read_link(format!("/proc/self/fd/{}", terminal.slave.as_raw_fd())).expect("its path");
+        let path = path.to_str().expect("a path of letters");
+        let first = super::open_serial(path, 9_600).expect("it is free");
+        let error = super::open_serial(path, 9_600).expect_err("it is in use");
+        assert_eq!(error.to_string(), "another process has this port");
+        drop(first);
+        super::open_serial(path, 9_600).expect("it is free again");
     }
 }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+use heliostat_files::from_toml;
 use heliostat_service::input;
 use serde::Deserialize;
 
@@ -125,7 +126,7 @@ impl Definition {
     }
 
     fn parse(text: &str, words: &[(String, String)]) -> Result<Self> {
-        let mut definition: Self = toml::from_str(text)?;
+        let mut definition: Self = from_toml(text)?;
         for (name, value) in words {
             let word = definition.words.get_mut(name);
             *word.with_context(|| format!("--word {name}: the report has no such word"))? = value.clone();

@@ -131,6 +131,7 @@ fn ratio(own: &Sample, best: &Sample) -> f64 {
 }
 
 /// Evaluates angles with the complete channel: spill, the LED's panel and blocked paths.
+#[derive(Clone)]
 pub struct Evaluator {
     /// The channel of the rooms.
     model: ChannelModel,
@@ -138,7 +139,7 @@ pub struct Evaluator {
 }
 
 /// Buffers with one entry per user.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Rates {
     min_rate_bps: Vec<f64>,
     sinr: Vec<f64>,

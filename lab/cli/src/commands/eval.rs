@@ -22,6 +22,7 @@ use heliostat_core::policy::PolicyKind;
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Report, Settings};
+use heliostat_learn::threads::on_threads;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs, override_keys};
 use heliostat_service::duration::seconds;
@@ -129,6 +130,10 @@ pub struct Args {
     /// mirrors
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Vec<Sweep>,
+    /// Threads that evaluate at the same time; the figures are the same for any number, decision times excepted: those
+    /// of 1 are undisturbed [default: RAYON_NUM_THREADS, or one for each processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
     /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -303,11 +308,14 @@ pub fn run(args: Args) -> Result<()> {
     }
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;
-    let compared = settings.iter().enumerate().map(|(index, one)| {
-        note_point(grid, index);
-        interruption.compare(one)
-    });
-    let reports = compared.collect::<Result<Vec<_>>>()?;
+    let compared = || {
+        let points = settings.iter().enumerate().map(|(index, one)| {
+            note_point(grid, index);
+            interruption.compare(one)
+        });
+        points.collect::<Result<Vec<_>>>()
+    };
+    let reports = on_threads(args.threads.map_or(0, usize::from), compared)??;
     if let Some(grid) = grid {
         note_without_effect(grid, &reports);
     }

@@ -343,8 +343,8 @@ pub fn run(args: Args) -> Result<()> {
                 for bases in &bases {
                     let Some(differences) = differences::to_base(&reports, bases, index) else { continue };
                     match bases.key {
-                        None => entry["difference_to_first"] = differences,
-                        Some(key) => entry["difference_along"][key] = differences,
+                        None => entry[differences::TO_FIRST] = differences,
+                        Some(key) => entry[differences::ALONG][key] = differences,
                     }
                 }
                 Ok(entry)

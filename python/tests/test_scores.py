@@ -20,7 +20,8 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     with pytest.warns(UserWarning, match="from 5 episodes; use at least 10"):
         score = heliostat.evaluate(zero, env, states=5)
     assert score.states == score.episodes == 5 and 0.2 < score.ratio_to_oracle < 0.95
-    assert score.ratio_to_oracle_ci95 > 0.0 and score.outage_time is None and score.jain is not None and 0.0 < score.jain <= 1.0
+    assert score.ratio_to_oracle_ci95 > 0.0 and score.outage_time is None
+    assert score.jain is not None and 0.0 < score.jain <= 1.0
     assert 0.0 <= score.ber < 0.5 and score.conditions == ()
     assert score == heliostat.evaluate(zero, env, states=5) and hash(score) is not None
     ratios = np.array(score.each["ratio_to_oracle"], float)

@@ -6,6 +6,7 @@ use heliostat::arguments::parsed;
 use heliostat::commands::completions;
 use heliostat::programs::LAB;
 use heliostat_models::library::LibraryArgs;
+use heliostat_service::outln;
 
 use crate::commands::{bench, calibrate, eval, map, report, trace};
 
@@ -47,12 +48,13 @@ enum Command {
 /// # Errors
 /// Those of the command.
 pub fn run() -> Result<()> {
-    let Cli { library, command } = parsed();
+    let Cli { library, command } = parsed()?;
     library.apply();
     match command {
         Command::Train(args) => {
             let stop = heliostat_service::signals::stop_on_signals()?;
-            heliostat_learn::run_train(args, &|| stop.is_requested())
+            outln!("{}", heliostat_learn::run_train(args, &|| stop.is_requested())?)?;
+            Ok(())
         }
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => {

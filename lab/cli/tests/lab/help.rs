@@ -57,3 +57,9 @@ fn a_closed_output_is_not_an_error() {
     let ended = program.wait_with_output().expect("it ends");
     assert!(ended.status.success() && ended.stderr.is_empty(), "{}", String::from_utf8_lossy(&ended.stderr));
 }
+
+#[test]
+fn completions_are_those_of_this_program() {
+    let script = String::from_utf8(lab(&["completions", "bash"]).stdout).expect("text");
+    assert!(script.trim_end().ends_with("heliostat-lab\nfi") || script.contains(" heliostat-lab\n"), "{script}");
+}

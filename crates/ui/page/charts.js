@@ -187,7 +187,7 @@ export class Charts {
     earlier.delete(named(this.followed));
     const before = this.earlier.offsetHeight;
     this.earlier.hidden = earlier.size === 0;
-    this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {
+    this.earlier.replaceChildren("policies before: ", ...[...earlier].map(([name, colour]) => {
       const mark = Object.assign(document.createElement("span"), { textContent: name });
       mark.style.setProperty("--swatch", colour);
       return mark;

@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::{DROPPED, TRUTH_SKIPPED};
 use heliostat_driver::run::SLEEP_MAX;
 use heliostat_room::reports::Report;
 use heliostat_service::{Stop, clock::as_ns};
@@ -34,8 +35,8 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
         drain(&mut node);
         node.keep_latches(false);
     }
-    node.refused.set("dropped", node.session.dropped());
-    node.refused.set("truth-skipped", publisher.skipped());
+    node.refused.set(DROPPED, node.session.dropped());
+    node.refused.set(TRUTH_SKIPPED, publisher.skipped());
     let measurements = publisher.finish()?;
     let summary = node.summary(&measurements);
     node.session.close()?;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_array::refusal_counts;
 use heliostat_proto::Quantiles;
 use heliostat_room::baselines::RateCounters;
 use heliostat_room::world::arrivals::Turnover;
@@ -153,7 +154,7 @@ impl fmt::Display for Summary {
             writeln!(f, "belief          {half:.0} % within the ellipse of 50 %, {most:.0} % within that of 95 %")?;
         }
         for (name, count) in &self.refused {
-            writeln!(f, "refused         {name}: {count}")?;
+            writeln!(f, "{}", refusal_counts::line(name, *count))?;
         }
         if let Some(hash) = &self.hash {
             writeln!(f, "hash            {hash}")?;

@@ -361,7 +361,10 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
     // A page that is opened later draws the same, and names the colour.
     let later = Browser::open_flat(&setting.server.url());
     wait_until("the colour of the policy before the page was open", || later.run(GREEDY_LINE) == true);
-    wait_until("its name in the legend", || later.text("#sum-chart .earlier").contains("greedy"));
+    wait_until("its name in the legend", || {
+        let names = later.text("#sum-chart .earlier");
+        names.starts_with("policies before: ") && names.contains("greedy")
+    });
 }
 
 #[needs("browser")]

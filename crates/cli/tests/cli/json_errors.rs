@@ -20,7 +20,7 @@ fn a_refused_input_is_also_an_object() {
     for (arguments, part) in [
         (&["link", "--json", "--scenario", "nope"][..], "nope"),
         (&["link", "--json", "--set", "users.count=0"], "users.count"),
-        (&["replay", "none.mcap", "--json"], "none.mcap"),
+        (&["replay", "none.mcap", "--verify", "--json"], "none.mcap"),
         (&["keys", "show", "--json", "--dir", "no-such-folder"], "no-such-folder"),
     ] {
         let error = error_of(arguments);
@@ -30,7 +30,8 @@ fn a_refused_input_is_also_an_object() {
 
 #[test]
 fn a_refused_command_line_is_also_an_object_without_its_usage() {
-    assert_eq!(error_of(&["link", "--json", "--xyz"]), "unexpected argument '--xyz' found");
+    let error = error_of(&["link", "--json", "--xyz"]);
+    assert!(error.starts_with("unexpected argument '--xyz' found") && !error.contains("Usage"), "{error}");
     let error = error_of(&["link", "--seed", "x", "--json"]);
     assert!(error.starts_with("invalid value 'x' for '--seed <SEED>': expected a whole number from 0 to "), "{error}");
 }

@@ -26,6 +26,7 @@ CORES = 2
 # Before the library starts its threads.
 os.environ["RAYON_NUM_THREADS"] = str(CORES)
 
+import bounds
 import gymnasium
 import heliostat
 import installation
@@ -71,8 +72,8 @@ def obstacles() -> Any:
     return env.state()["blockers"]
 
 
-def speeds(name: str, steps: int, rounds: int) -> str:
-    """The row of an environment."""
+def speeds(name: str, steps: int, rounds: int) -> tuple[str, tuple[float, float | None]]:
+    """The row of an environment, and the figures that have bounds."""
     env = gymnasium.make(f"heliostat/{name}-v0").unwrapped
     many = gymnasium.make_vec(f"heliostat/{name}-v0", num_envs=ROOMS, vectorization_mode="vector_entry_point", copy=False)
     env.reset(seed=7)
@@ -93,10 +94,11 @@ def speeds(name: str, steps: int, rounds: int) -> str:
     many.close()
     by_rust, in_turn, single, batch, in_numpy = best
     times = f"{in_numpy:.0f} | {single / in_numpy:.1f} | {batch / in_numpy:.1f}" if room else "| | "
-    return (
+    row = (
         f"| {name} | {by_rust:.0f} | {in_turn:.0f} | {single:.0f} | {single / by_rust:.2f} | {batch:.0f} | {batch / by_rust:.2f} "
         f"| {batch / in_turn:.2f} | {times} |"
     )
+    return row, (batch / by_rust, batch / in_numpy if room else None)
 
 
 def memory(steps: int) -> str:
@@ -136,15 +138,18 @@ def main() -> None:
     lines += [f"Commit {installation.commit(root)}. Machine: {installation.machine()}.", ""]
     lines += [f"Steps per second of processor time, the best of {arguments.rounds} rounds, without the start of the rooms. A batch steps "
               f"on {CORES} of {os.cpu_count()} cores. The load average at the start was {load:.1f}.", ""]
-    lines += ["Bounds: a batch of 64 at least 0.9 of one room in Rust, and at least 50 times NumPy. What the state of 64 rooms costs in the cache of a "
-              "core shows in Rust too, in the column of 64 rooms in turn.", ""]
+    rows: list[str] = []
+    found: dict[str, tuple[float, float | None]] = {}
+    for name, steps in STEPS.items():
+        row, found[name] = speeds(name, steps, arguments.rounds)
+        print(row, flush=True)
+        rows += [row]
+    lines += [*bounds.table(found), ""]
+    lines += ["What the state of 64 rooms costs in the cache of a core shows in Rust too, in the column of 64 rooms in turn.", ""]
     lines += ["| environment | Rust, 1 room | Rust, 64 rooms in turn | Python single | of Rust, 1 room | batch of 64 | of Rust, 1 room "
               "| of Rust, 64 rooms | NumPy | single over NumPy | batch over NumPy |"]
     lines += ["| " + " | ".join(["---"] * 11) + " |"]
-    for name, steps in STEPS.items():
-        lines += [speeds(name, steps, arguments.rounds)]
-        print(lines[-1], flush=True)
-    lines += ["", memory(arguments.memory_steps)]
+    lines += [*rows, "", memory(arguments.memory_steps)]
     print("\n".join(lines))
     if arguments.page:
         if section := installation.kept(arguments.page):

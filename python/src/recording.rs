@@ -269,4 +269,33 @@ impl Recording {
             ],
         )
     }
+
+    /// One row for each user of each message with the belief of a controller.
+    fn belief<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let beliefs = self.of(|received| match received {
+            Received::Belief(belief) => Some(belief),
+            _ => None,
+        });
+        let rows: Vec<_> =
+            beliefs.iter().flat_map(|(at, belief)| belief.users.iter().map(move |user| (*at, *belief, user))).collect();
+        table(
+            py,
+            [
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.stamp.time_ns))),
+                ("holds_ns", column(py, &rows, |row| signed_ns(row.1.holds_ns))),
+                ("tick", column(py, &rows, |row| row.1.tick)),
+                ("source", column(py, &rows, |row| row.1.stamp.source)),
+                ("user", column(py, &rows, |row| row.2.user)),
+                ("position_m", columns(py, &rows, 3, |row| &row.2.position_m[..])),
+                ("velocity_m_s", columns(py, &rows, 2, |row| &row.2.velocity_m_s[..])),
+                ("xx_m2", column(py, &rows, |row| row.2.xx_m2)),
+                ("xy_m2", column(py, &rows, |row| row.2.xy_m2)),
+                ("yy_m2", column(py, &rows, |row| row.2.yy_m2)),
+                ("heading_rad", column(py, &rows, |row| row.2.heading_rad)),
+                ("heading_certainty", column(py, &rows, |row| row.2.heading_certainty)),
+                ("blocked_probability", column(py, &rows, |row| row.2.blocked_probability)),
+            ],
+        )
+    }
 }

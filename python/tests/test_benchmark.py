@@ -12,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
+import bounds
 import installation
 from numpy_room import PaperRoom, StaticRoom
 
@@ -61,6 +62,32 @@ def test_each_part_of_the_results_page_stays_when_the_other_is_written(tmp_path:
         page.write_text(installation.replaced(page, [installation.HEADING, "", size]), encoding="utf-8")
         assert page.read_text(encoding="utf-8") == f"# Results\n\nrates\n\n## Installation\n\n{size}\n"
     assert installation.kept(page) == ["## Installation", "", "2.00"]
+
+
+def test_each_bound_has_a_verdict() -> None:
+    head, _, *rows = bounds.table({"Static": (1.023, 100.84), "Hall": (0.867, None), "Paper": (0.9, 11.0)})
+    assert head == "| environment | bound | found | verdict |"
+    assert [row.strip("| ").split(" | ")[2:] for row in rows] == [
+        ["1.02", "met"],
+        ["100.8", "met"],
+        ["0.87", "not met"],
+        ["0.90", "met"],
+        ["11.0", "not met"],
+    ]
+
+
+def test_the_results_page_has_the_verdicts_of_its_figures() -> None:
+    page = Path(__file__).parents[2] / "docs/results/python.md"
+    if not page.exists():
+        pytest.skip("the page is in the repository only")
+    lines = page.read_text(encoding="utf-8").splitlines()
+    tables = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    speeds = [cells for cells in tables if len(cells) == 11 and cells[0] in ("Static", "Hall", "Office", "Paper")]
+    # Column 6 is the batch over one room in Rust, and the last one over NumPy.
+    found = {cells[0]: (float(cells[6]), float(cells[10]) if cells[10] else None) for cells in speeds}
+    # A figure is rounded, and its verdict is not that of the rounded one.
+    stated = {tuple(cells[:3]) for cells in tables if cells[-1] in ("met", "not met")}
+    assert len(found) == 4 and stated == {tuple(row.strip("| ").split(" | ")[:3]) for row in bounds.table(found)[2:]}
 
 
 def test_the_row_of_a_wheel_has_its_size_and_that_of_its_files(tmp_path: Path) -> None:

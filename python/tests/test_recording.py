@@ -103,6 +103,22 @@ def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
     assert truth["rate_mbps"][open_].mean() > truth["rate_mbps"][~open_].mean() or open_.all()
 
 
+def test_the_belief_of_a_recording_is_near_the_truth_of_its_time(path: Path) -> None:
+    recording = heliostat.Recording(path)
+    belief, truth = recording.belief(), recording.truth()
+    assert len(belief["user"]) > 50 and len(set(belief["source"].tolist())) == 1
+    assert np.isin(belief["tick"], recording.reports()["tick"]).all()
+    assert (belief["holds_ns"] >= belief["time_ns"]).all()
+    assert (belief["xx_m2"] >= 0.0).all() and (belief["yy_m2"] >= 0.0).all()
+    for share in ("heading_certainty", "blocked_probability"):
+        assert ((belief[share] >= 0.0) & (belief[share] <= 1.0)).all(), share
+    last = len(belief["user"]) - 1
+    of_user = np.flatnonzero(truth["user"] == belief["user"][last])
+    nearest = of_user[np.argmin(np.abs(truth["time_ns"][of_user] - belief["holds_ns"][last]))]
+    apart = belief["position_m"][last, :2] - truth["position_m"][nearest, :2]
+    assert np.hypot(*apart) < 1.5, "a user walks less than this between two messages of the truth"
+
+
 @pytest.mark.parametrize("library", ["pandas", "polars"])
 def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: Library) -> None:
     pytest.importorskip(library)
@@ -113,7 +129,9 @@ def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: Library) ->
     np.testing.assert_array_equal(frame["time_ns"].to_numpy(), truth["time_ns"])
     commands = recording.frame("commands", library=library)
     np.testing.assert_array_equal(commands["roll_7"].to_numpy(), recording.commands()["roll"][:, 7])
-    assert {"velocity_x_m_s", "velocity_y_m_s"} <= set(recording.frame("reports", library=library).columns)
+    for of in ("reports", "belief"):
+        names = set(recording.frame(of, library=library).columns)  # type: ignore[arg-type]
+        assert {"position_z_m", "velocity_x_m_s", "velocity_y_m_s"} <= names, of
     assert len(recording.frame("decisions", library=library)) > 0
     with pytest.raises(ValueError, match="expected reports, channels, truth"):
         recording.frame("angles")  # type: ignore[arg-type]
@@ -123,10 +141,10 @@ def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: Library) ->
 
 def test_differences_of_times_have_a_sign(path: Path) -> None:
     recording = heliostat.Recording(path)
-    tables: list[Any] = [recording.reports(), recording.channels(), recording.truth()]
+    tables: list[Any] = [recording.reports(), recording.channels(), recording.truth(), recording.belief()]
     tables += [recording.commands(), recording.telemetry(), recording.decisions()]
     times = [values for table in tables for name, values in table.items() if name.endswith("_ns")]
-    assert len(times) == 13 and {values.dtype for values in times} == {np.dtype(np.int64)}
+    assert len(times) == 16 and {values.dtype for values in times} == {np.dtype(np.int64)}
     decisions = recording.decisions()
     apart = decisions["reported_ns"] - decisions["commanded_ns"]
     np.testing.assert_allclose(apart, decisions["answer_us"] * -1e3)

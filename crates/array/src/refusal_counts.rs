@@ -6,6 +6,20 @@ use std::fmt::Display;
 /// Name of the count of other processes with the same mirrors that have joined the room.
 pub const ANOTHER_PROCESS: &str = "another-process";
 
+/// Name of the count of messages that were dropped before they were handled.
+pub const DROPPED: &str = "dropped";
+
+/// A count in words, as a line of a summary.
+pub fn line(name: &str, count: u64) -> String {
+    let (heading, words) = match (name, name.split_once(':')) {
+        (ANOTHER_PROCESS, _) => ("other process", "joined the room with the same mirrors".to_owned()),
+        (DROPPED, _) => ("dropped", "messages, because the queue of received messages was full".to_owned()),
+        (_, Some((kind, reason))) => ("refused", format!("of kind {kind}: {}", reason.replace('-', " "))),
+        (_, None) => ("refused", name.replace('-', " ")),
+    };
+    format!("{heading:<16}{count} {words}")
+}
+
 /// Counts of refusals by name, which is the kind of message, a colon and the reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RefusalCounts {
@@ -70,5 +84,16 @@ mod tests {
             &BTreeMap::from([("command:wrong-version".into(), 2), ("stop:truncated".into(), 1)])
         );
         assert_eq!(refused.last_problem(), "stop: too short");
+    }
+
+    #[test]
+    fn a_summary_has_each_count_in_words() {
+        for (name, expected) in [
+            ("command:wrong-version", "refused         2 of kind command: wrong version"),
+            (DROPPED, "dropped         2 messages, because the queue of received messages was full"),
+            (ANOTHER_PROCESS, "other process   2 joined the room with the same mirrors"),
+        ] {
+            assert_eq!(line(name, 2), expected);
+        }
     }
 }

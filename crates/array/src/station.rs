@@ -28,7 +28,7 @@ use crate::device::Device;
 use crate::kit::Kit;
 use crate::latch::Latch;
 use crate::moment::Moment;
-use crate::refusal_counts::{ANOTHER_PROCESS, RefusalCounts};
+use crate::refusal_counts::{ANOTHER_PROCESS, DROPPED, RefusalCounts};
 use crate::stop_record::{RecordError, RecordPlan, RecordTask, with_record_problem};
 
 /// Time between two telemetry messages in ns; the contract requires ten per second.
@@ -176,7 +176,7 @@ impl<D: Device> Station<D> {
 
     /// Sets the number of messages that were dropped before they were handled.
     pub fn set_dropped(&mut self, dropped: u64) {
-        self.refused.set("dropped", dropped);
+        self.refused.set(DROPPED, dropped);
     }
 
     /// Notes a problem: another process with this array has joined the room.

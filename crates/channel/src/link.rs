@@ -152,13 +152,13 @@ pub fn ber_ook(sinr: f64) -> f64 {
 
 /// Jain's fairness index: (sum x)^2 / (n sum x^2), within [1/n, 1].
 ///
-/// 1 if every value is zero or the list is empty, since all users then have the same.
+/// NaN if every value is zero or the list is empty: the index is 0 / 0 there, so that it is not defined.
 ///
 /// Source: Jain, Chiu and Hawe, DEC Research Report TR-301, 1984. Units: dimensionless.
 pub fn jain(values: &[f64]) -> f64 {
     let sum: f64 = values.iter().sum();
     let squares: f64 = values.iter().map(|value| value * value).sum();
-    if squares == 0.0 { 1.0 } else { sum * sum / (values.len() as f64 * squares) }
+    if squares == 0.0 { f64::NAN } else { sum * sum / (values.len() as f64 * squares) }
 }
 
 /// Complementary error function for x >= 0, with a relative error of about 1e-14.

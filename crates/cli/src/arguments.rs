@@ -1,12 +1,18 @@
 //! The command line as arguments of a command, with advice where a scenario is given without its flag, or a
-//! flag by the name that other programs use.
+//! flag by the name that other programs use, and with the numbers that a flag takes where it refuses one.
+//!
+//! A command with `--json` that fails, or that is refused, also prints `{"error": "…"}`, where it has printed no object.
+
+mod numbers;
 
 use std::ffi::OsString;
+use std::process::ExitCode;
 
 use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Command, Parser};
+use clap::{Command, CommandFactory, Parser};
 use heliostat_scenario::BUILTIN_NAMES;
+use heliostat_service::{exit, outln, output};
 
 /// Flags of other programs, and those that a command may have for the same purpose.
 static USUAL: [(&[&str], &[&str]); 5] = [
@@ -17,13 +23,53 @@ static USUAL: [(&[&str], &[&str]); 5] = [
     (&["--no-browser", "--headless"], &["no-ui"]),
 ];
 
-/// The arguments of a program; it ends where they cannot be used.
-pub fn parsed<C: Parser>() -> C {
-    C::try_parse().unwrap_or_else(|error| {
+/// Runs a program whose commands are those of `C`, prints its error, and gives its exit code.
+pub fn run<C: CommandFactory>(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
+    exit::run(program, || command().inspect_err(|error| print_object::<C>(&format!("{error:#}"))))
+}
+
+/// The arguments of a program; it ends where they cannot be used, and where they ask for help.
+///
+/// # Errors
+/// The help text cannot be written.
+pub fn parsed<C: Parser>() -> anyhow::Result<C> {
+    C::try_parse().or_else(|error| {
         let program = C::command();
         let command = chosen(&program, std::env::args_os());
-        with_flag_advice(with_scenario_advice(error, command), command).exit()
+        let error = with_flag_advice(with_scenario_advice(error, command), command);
+        let error = numbers::with_expected_numbers(error, command);
+        if error.use_stderr() {
+            // There is nowhere else to report that standard error is closed.
+            drop(error.print());
+            print_object::<C>(&reason(&error));
+        } else {
+            output::flushed(error.print())?;
+        }
+        std::process::exit(error.exit_code())
     })
+}
+
+/// Prints an error as an object, where the command line asks for JSON and no object is the last output.
+fn print_object<C: CommandFactory>(error: &str) {
+    let program = C::command();
+    if asks_for_json(chosen(&program, std::env::args_os()), std::env::args_os()) && !output::ends_with_object() {
+        // The error itself is on standard error.
+        drop(outln!("{}", serde_json::json!({ "error": error })));
+    }
+}
+
+/// Whether the words of a command line ask its command for JSON.
+fn asks_for_json(command: &Command, words: impl IntoIterator<Item = OsString>) -> bool {
+    let has_flag = command.get_arguments().any(|argument| argument.get_long() == Some("json"));
+    has_flag && words.into_iter().take_while(|word| *word != "--").any(|word| word == "--json")
+}
+
+/// The refusal of a command line, without its usage and the note on help.
+fn reason(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    let ends = ["\n\nUsage:", "\n\nFor more information"].into_iter().filter_map(|part| text.find(part));
+    let text = &text[..ends.min().unwrap_or(text.len())];
+    text.strip_prefix("error: ").unwrap_or(text).trim_end().to_owned()
 }
 
 /// The command of a program that the words of a command line choose.
@@ -94,6 +140,75 @@ mod tests {
         assert!(stop.contains("'--connect'") && !stop.contains("'--ui-port'"), "{stop}");
         let other = refused(&["heliostat", "ui", "--xyz"]);
         assert!(!other.contains("tip:"), "{other}");
+    }
+
+    fn words(given: &[&str]) -> Vec<OsString> {
+        given.iter().map(OsString::from).collect()
+    }
+
+    #[test]
+    fn each_number_that_a_flag_refuses_is_answered_with_those_that_it_takes() {
+        let refused = |given: &[&str]| {
+            let program = crate::cli::Cli::command();
+            let error = crate::cli::Cli::try_parse_from(given).expect_err("it is refused");
+            numbers::with_expected_numbers(error, chosen(&program, words(given))).to_string()
+        };
+        let whole = "expected a whole number from";
+        for (flags, expected) in [
+            (
+                ["sim-node", "--seed", "x"],
+                "error: invalid value 'x' for '--seed <SEED>': expected a whole number from 0 to ",
+            ),
+            (["sim-node", "--lockstep", "0"], "'0' for '--lockstep <TICKS>': expected a whole number from 1 to "),
+            (["doctor", "--port", "99999"], "'99999' for '--port <PORT>': expected a whole number from 1 to 65535"),
+            (["replay", "--rate", "x"], "for '--rate <N>': "),
+        ] {
+            let text = refused(&[&["heliostat"], &flags[..]].concat());
+            assert!(text.contains(expected) && !text.contains("invalid digit"), "{flags:?}: {text}");
+            assert!(text.contains("\n\nFor more information, try '--help'.\n"), "{flags:?}: {text}");
+        }
+        let other = refused(&["heliostat", "demo", "--seconds", "x"]);
+        assert!(other.contains("invalid duration \"x\": expected seconds") && !other.contains(whole), "{other}");
+    }
+
+    /// Flags are found by their parsers, so that a new one is among them.
+    #[test]
+    fn no_flag_of_a_number_answers_with_the_words_of_a_parser() {
+        fn check(command: &Command, path: &str, count: &mut usize) {
+            for argument in command.get_arguments().filter(|argument| argument.get_long().is_some()) {
+                let alone = clap::Arg::new("alone").long("alone").value_parser(argument.get_value_parser().clone());
+                let alone = Command::new("alone").no_binary_name(true).arg(alone);
+                let Err(error) = alone.clone().try_get_matches_from(["--alone=x"]) else { continue };
+                let text = numbers::with_expected_numbers(error, &alone).to_string();
+                *count += usize::from(text.contains("expected a whole number from"));
+                for words in ["invalid digit", "invalid float", "is not in "] {
+                    assert!(!text.contains(words), "{path} {argument}: {text}");
+                }
+            }
+            for command in command.get_subcommands() {
+                check(command, &format!("{path} {}", command.get_name()), count);
+            }
+        }
+        let mut count = 0;
+        check(&crate::cli::Cli::command(), "heliostat", &mut count);
+        assert!(count >= 10, "only {count} flags of whole numbers");
+    }
+
+    #[test]
+    fn json_is_asked_for_by_the_flag_of_the_command_before_the_words_of_another_process() {
+        let program = crate::cli::Cli::command();
+        for (given, expected) in [
+            (&["heliostat", "link", "--json"][..], true),
+            (&["heliostat", "link"], false),
+            (&["heliostat", "keys", "show", "--json"], true),
+            (&["heliostat", "ui", "--json"], false),
+            (&["heliostat", "link", "--", "--json"], false),
+        ] {
+            assert_eq!(asks_for_json(chosen(&program, words(given)), words(given)), expected, "{given:?}");
+        }
+        let refused = crate::cli::Cli::try_parse_from(["heliostat", "link", "--xyz"]).expect_err("it is refused");
+        let reason = reason(&refused);
+        assert!(reason.starts_with("unexpected argument '--xyz' found") && !reason.contains("Usage"), "{reason}");
     }
 
     #[test]

@@ -78,7 +78,7 @@ pub fn run() -> Result<()> {
     if let Some(advice) = commands::advice(&words) {
         return Err(UnusableInput::new(advice).into());
     }
-    let Cli { library, command } = parsed();
+    let Cli { library, command } = parsed()?;
     library.apply();
     match command {
         Command::Demo(args) => demo::run(args),

@@ -16,9 +16,7 @@ pub mod programs;
 
 use std::process::ExitCode;
 
-use heliostat_service::exit;
-
 /// Runs the program `heliostat`.
 pub fn main() -> ExitCode {
-    exit::run(programs::HELIOSTAT, cli::run)
+    arguments::run::<cli::Cli>(programs::HELIOSTAT, cli::run)
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_array::refusal_counts;
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -26,7 +27,7 @@ impl fmt::Display for Summary {
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
         writeln!(f, "device          connected {} times", self.connections)?;
         for (name, count) in &self.refused {
-            writeln!(f, "refused         {name}: {count}")?;
+            writeln!(f, "{}", refusal_counts::line(name, *count))?;
         }
         if !self.last_problem.is_empty() {
             writeln!(f, "last problem    {}", printable(&self.last_problem))?;

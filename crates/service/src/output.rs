@@ -5,8 +5,12 @@
 
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::printable::printable_lines;
+
+/// Whether the last text on standard output is an object in JSON.
+static ENDS_WITH_OBJECT: AtomicBool = AtomicBool::new(false);
 
 /// `println!` that returns an error instead of a panic when the reader has closed the pipe.
 #[macro_export]
@@ -28,7 +32,19 @@ pub fn line(text: impl Display) -> io::Result<()> {
 /// # Errors
 /// As [`line()`].
 pub fn text(text: impl Display) -> io::Result<()> {
-    write_text(&mut io::stdout().lock(), text).map_err(|error| unwritten(&error))
+    let text = text.to_string();
+    ENDS_WITH_OBJECT.store(is_object(&text), Ordering::Relaxed);
+    flushed(write_text(&mut io::stdout().lock(), text))
+}
+
+/// Whether the last text on standard output is an object in JSON, which a reader of JSON expects to be the only one or
+/// the last.
+pub fn ends_with_object() -> bool {
+    ENDS_WITH_OBJECT.load(Ordering::Relaxed)
+}
+
+fn is_object(text: &str) -> bool {
+    text.starts_with('{') && text.trim_end().ends_with('}')
 }
 
 /// Writes bytes as they are to standard output, for another program.
@@ -36,7 +52,15 @@ pub fn text(text: impl Display) -> io::Result<()> {
 /// # Errors
 /// As [`line()`].
 pub fn bytes(bytes: &[u8]) -> io::Result<()> {
-    io::stdout().lock().write_all(bytes).map_err(|error| unwritten(&error))
+    flushed(io::stdout().lock().write_all(bytes))
+}
+
+/// The result of a write to standard output, with what is still in its buffer.
+///
+/// # Errors
+/// As [`line()`].
+pub fn flushed(written: io::Result<()>) -> io::Result<()> {
+    written.and_then(|()| io::stdout().flush()).map_err(|error| unwritten(&error))
 }
 
 /// Writes a text and a line end to standard error. A closed standard error is ignored.
@@ -62,6 +86,15 @@ mod tests {
         let error = unwritten(&io::Error::new(io::ErrorKind::StorageFull, "no space"));
         assert_eq!(error.to_string(), "cannot write to standard output: no space");
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+    }
+
+    #[test]
+    fn an_object_is_told_from_other_texts() {
+        for (text, expected) in
+            [("{\"a\": 1}\n", true), ("{}\n", true), ("{ a\n", false), ("a {}\n", false), ("", false)]
+        {
+            assert_eq!(is_object(text), expected, "{text}");
+        }
     }
 
     #[test]

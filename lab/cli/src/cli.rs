@@ -6,6 +6,7 @@ use heliostat::arguments::parsed;
 use heliostat::commands::completions;
 use heliostat::programs::LAB;
 use heliostat_models::library::LibraryArgs;
+use heliostat_service::outln;
 
 use crate::commands::{bench, calibrate, eval, map, report, trace};
 
@@ -47,12 +48,13 @@ enum Command {
 /// # Errors
 /// Those of the command.
 pub fn run() -> Result<()> {
-    let Cli { library, command } = parsed();
+    let Cli { library, command } = parsed()?;
     library.apply();
     match command {
         Command::Train(args) => {
             let stop = heliostat_service::signals::stop_on_signals()?;
-            heliostat_learn::run_train(args, &|| stop.is_requested())
+            outln!("{}", heliostat_learn::run_train(args, &|| stop.is_requested())?)?;
+            Ok(())
         }
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => {
@@ -114,7 +116,6 @@ mod tests {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut documents = vec![root.join("README.md"), root.join("SPECIFICATION.md")];
         markdown(&root.join("docs"), &mut documents);
-        documents.retain(|document| !is_of_a_commit(document));
         let mut count = 0;
         for document in documents {
             let text = fs::read_to_string(&document).expect("a document is readable");
@@ -124,11 +125,6 @@ mod tests {
                 count += 1;
             }
         }
-        assert!(count >= 100, "only {count} commands were found");
-    }
-
-    /// Whether a page holds results: its commands are those of the commits that it names.
-    fn is_of_a_commit(document: &Path) -> bool {
-        ["results", "leaderboard.md"].iter().any(|name| document.iter().any(|part| part == *name))
+        assert!(count >= 300, "only {count} commands were found");
     }
 }

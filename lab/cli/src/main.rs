@@ -2,11 +2,9 @@
 
 use std::process::ExitCode;
 
-use heliostat_service::exit;
-
 mod cli;
 mod commands;
 
 fn main() -> ExitCode {
-    exit::run(heliostat::programs::LAB, cli::run)
+    heliostat::arguments::run::<cli::Cli>(heliostat::programs::LAB, cli::run)
 }

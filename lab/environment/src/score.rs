@@ -17,7 +17,7 @@ pub struct Sample {
     pub sum_rate_mbps: f64,
     /// Share of users whose minimum rate is met; NaN without users.
     pub met: f64,
-    /// Jain's fairness index of the rates; NaN without users.
+    /// Jain's fairness index of the rates; NaN where no user has a rate.
     pub jain: f64,
     /// Mean rate of the users without a direct path, in Mbit/s; NaN without such a user.
     pub blocked_rate_mbps: f64,
@@ -57,9 +57,9 @@ impl Sample {
         Self { sum_rate_mbps, met, jain, blocked_rate_mbps, ber }
     }
 
-    /// The mean of several samples of one state.
+    /// The mean of several samples of one state; each figure leaves out the samples without it.
     pub fn mean(samples: &[Self]) -> Self {
-        let mean = |value: fn(&Self) -> f64| samples.iter().map(value).sum::<f64>() / samples.len() as f64;
+        let mean = |value: fn(&Self) -> f64| mean(&present(&samples.iter().map(value).collect::<Vec<_>>()));
         Self {
             sum_rate_mbps: mean(|sample| sample.sum_rate_mbps),
             met: mean(|sample| sample.met),
@@ -95,7 +95,7 @@ impl Figure {
     pub const RATIO: Self = Self { name: "ratio_to_oracle", of: ratio, bounds: FROM_0 };
     /// Share of users whose minimum rate is met.
     pub const QOS_MET: Self = Self { name: "qos_met", of: |own, _| own.met, bounds: SHARE };
-    /// Jain's fairness index of the rates.
+    /// Jain's fairness index of the rates; missing where no user has a rate.
     pub const JAIN: Self = Self { name: "jain", of: |own, _| own.jain, bounds: SHARE };
     /// Mean rate of the users without a direct path in Mbit/s.
     pub const BLOCKED_RATE: Self =
@@ -131,6 +131,7 @@ fn ratio(own: &Sample, best: &Sample) -> f64 {
 }
 
 /// Evaluates angles with the complete channel: spill, the LED's panel and blocked paths.
+#[derive(Clone)]
 pub struct Evaluator {
     /// The channel of the rooms.
     model: ChannelModel,
@@ -138,7 +139,7 @@ pub struct Evaluator {
 }
 
 /// Buffers with one entry per user.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Rates {
     min_rate_bps: Vec<f64>,
     sinr: Vec<f64>,
@@ -181,8 +182,7 @@ impl Rates {
         self.min_rate_bps.extend_from_slice(world.min_rate_bps());
         self.sinr.resize(users, 0.0);
         self.rates_bps.resize(users, 0.0);
-        let sample = self.sample(world.model(), world.scene(), angles);
-        if users > 0 { sample } else { Sample { jain: f64::NAN, ..sample } }
+        self.sample(world.model(), world.scene(), angles)
     }
 
     fn sample(&mut self, model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> Sample {
@@ -223,5 +223,15 @@ mod tests {
         assert_eq!(Figure::RATIO.means(&own, &oracle), [0.5, 0.5]);
         let blocked = Figure::BLOCKED_RATE.means(&own, &oracle);
         assert!(blocked[0] == 2.0 && blocked[1].is_nan(), "{blocked:?}");
+    }
+
+    #[test]
+    fn a_state_in_which_no_user_has_a_rate_has_no_index_of_fairness() {
+        let sample = |sum_rate_mbps, jain| Sample { sum_rate_mbps, met: 0.0, jain, blocked_rate_mbps: 0.0, ber: 0.5 };
+        let (dark, lit) = (sample(0.0, f64::NAN), sample(4.0, 0.5));
+        let draws = Sample::mean(&[dark, lit]);
+        assert_eq!((draws.sum_rate_mbps, draws.jain, Sample::mean(&[dark]).jain.is_nan()), (2.0, 0.5, true));
+        let group = [vec![dark, lit, sample(9.0, 1.0)]];
+        assert_eq!(Figure::JAIN.means(&group, &group), [0.75]);
     }
 }

@@ -13,6 +13,7 @@
 //! - [`evaluation`]: held-out states, the ratio to the oracle, and confidence intervals.
 //! - [`comparison`]: policies on the same states, static and in closed loop.
 //! - [`calibrate`](mod@calibrate): how well a calibration measures rooms, and what it is worth.
+//! - [`threads`]: the threads of a computation.
 //! - [`train`]: the `heliostat-lab train` command.
 
 pub mod calibrate;
@@ -22,6 +23,7 @@ pub mod evaluation;
 pub mod export;
 pub mod learners;
 pub mod networks;
+pub mod threads;
 pub mod train;
 pub mod training;
 

@@ -9,7 +9,7 @@ pub mod layers;
 pub use adam::Adam;
 pub use layers::{Encoder, Linear, Network, Shape, assign, soft_update};
 
-use anyhow::Context;
+use crate::threads::on_threads;
 
 /// Runs the work on a thread pool of one thread, candle's matrix products included.
 ///
@@ -19,6 +19,5 @@ use anyhow::Context;
 /// # Errors
 /// The system refuses a thread.
 pub fn on_one_thread<T: Send>(work: impl FnOnce() -> T + Send) -> anyhow::Result<T> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
-    Ok(pool.install(work))
+    on_threads(1, work)
 }

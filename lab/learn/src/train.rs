@@ -1,5 +1,6 @@
 //! `heliostat-lab train`: trains a policy, shows its progress, and writes an actor with its card.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -81,20 +82,23 @@ const USERS: [usize; 2] = [3, 8];
 /// Whether the run has to end, as Ctrl-C requests.
 type StopRequested<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// Runs the command. Where `stop_requested` returns true, it saves the run and returns an error
-/// with the command that resumes.
+/// Runs the command, and returns its output: the card of the actor and its files, or one JSON object. Where
+/// `stop_requested` returns true, it saves the run and returns an error with the command that resumes.
 ///
 /// # Errors
 /// The scenario or an option is invalid, a file cannot be read or written, or the run is
 /// interrupted.
-pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
+pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<String> {
     on_one_thread(|| train(&args, stop_requested))?
 }
 
-fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
+fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<String> {
     let scenario = args.scenario.load_arrays()?;
     exact_states::check_training(&args.scenario.overrides)?;
-    conditions(&scenario)?.iter().for_each(|condition| eprintln!("condition: {condition}"));
+    for condition in conditions(&scenario)? {
+        // A full or closed standard error does not end a training.
+        drop(writeln!(std::io::stderr(), "condition: {condition}"));
+    }
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -245,13 +249,13 @@ fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
     room
 }
 
-/// Writes the trained actor with its card.
+/// Writes the trained actor with its card, and returns the output of the command.
 fn finish(
     training: &Training,
     args: &TrainArgs,
     duration: Option<Duration>,
     scores: &[ScoreRow],
-) -> anyhow::Result<()> {
+) -> anyhow::Result<String> {
     let (algorithm, seed) = (args.algorithm, training.run().seed);
     let command = args.command(seed);
     let bytes = onnx_file(training, &command, scores)?;
@@ -265,13 +269,10 @@ fn finish(
     let card = Card { file: &file, command: &command, algorithm, training, duration, scores };
     let card_path = path.with_extension("md");
     write(&card_path, card.markdown().as_bytes())?;
-    if args.json {
-        println!("{}", report((&path, &command), training, duration, scores)?);
-    } else {
-        println!("{}", card.markdown());
-        println!("actor: {}\ncard:  {}", path.display(), card_path.display());
-    }
-    Ok(())
+    Ok(match args.json {
+        true => report((&path, &command), training, duration, scores)?.to_string(),
+        false => format!("{}\nactor: {}\ncard:  {}", card.markdown(), path.display(), card_path.display()),
+    })
 }
 
 /// The scores of the trained actor; `None` where a stop is requested before the last.

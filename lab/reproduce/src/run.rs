@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use heliostat_learn::networks::on_one_thread;
-use heliostat_service::whole_file;
+use heliostat_service::{outln, whole_file};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::args::{ReproduceArgs, command_of_report};
@@ -26,7 +26,7 @@ use crate::{files, machine};
 ///
 /// # Errors
 /// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is
-/// computed; then an error of a part. Parts finished before remain stored.
+/// computed; then an error of a part. Parts finished before remain stored. Standard output that cannot be written.
 pub fn run_reproduce(args: ReproduceArgs, progress: &Progress) -> Result<()> {
     let report = reproduce(&args, progress)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();
@@ -35,19 +35,19 @@ pub fn run_reproduce(args: ReproduceArgs, progress: &Progress) -> Result<()> {
         let summary = serde_json::json!({
             "page": page, "parts": report.parts.len(), "kept": kept, "claims": report.claims, "left_out": report.left_out, "meta": report.meta,
         });
-        println!("{summary}");
+        outln!("{summary}")?;
         return Ok(());
     }
     for claim in &report.claims {
-        println!("{} (paper: {})", claim.statement, claim.paper);
+        outln!("{} (paper: {})", claim.statement, claim.paper)?;
         for finding in &claim.findings {
-            println!("  {:<17} {}: {}; {}", finding.room, finding.verdict.words(), finding.ours, finding.why);
+            outln!("  {:<17} {}: {}; {}", finding.room, finding.verdict.words(), finding.ours, finding.why)?;
         }
     }
     for left_out in &report.left_out {
-        println!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why);
+        outln!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why)?;
     }
-    println!("{}: {} parts, {kept} of them from an earlier run", page.display(), report.parts.len());
+    outln!("{}: {} parts, {kept} of them from an earlier run", page.display(), report.parts.len())?;
     Ok(())
 }
 

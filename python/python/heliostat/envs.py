@@ -272,8 +272,8 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         seed of the comparison, that of the scenario if absent. `options={"episode": (index, states, seeds)}` starts an
         episode of a comparison with that many states of each of that many seeds; in a static room it is one state. Its
         last step is truncated. The `info["samples"]` of this step has a row for each sampling time: sum rate in Mbit/s,
-        share of minimum rates met, fairness, mean rate in Mbit/s of the users without a direct path (NaN without such a
-        user), and mean bit error rate.
+        share of minimum rates met, Jain's fairness index (NaN where no user has a rate), mean rate in Mbit/s of the users
+        without a direct path (NaN without such a user), and mean bit error rate.
         """
         if seed is not None:
             seed = seed_of(seed)

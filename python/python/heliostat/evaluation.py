@@ -17,7 +17,6 @@ from .envs import HeliostatEnv
 _EPISODES_FEW = 10
 _EPISODES_MAX = 50_000
 _STATES = 100
-_NAMES = {"jain": "fairness", "outage_time": "outage"}
 
 Act: TypeAlias = Callable[[Any], ArrayLike]
 """From an observation to an action: an array of any real type, or a list."""
@@ -41,9 +40,10 @@ class Score:
     qos_met: float
     """Share of users whose minimum rate is met."""
     qos_met_ci95: float
-    fairness: float
-    """Jain's fairness index of the rates."""
-    fairness_ci95: float
+    jain: float | None
+    """Jain's fairness index of the rates, over the states in which a user has one; `None` where there is none."""
+    jain_ci95: float | None
+    """`None` also for a single episode with such a state."""
     ber: float
     """Mean bit error rate of the users with on-off keying."""
     ber_ci95: float
@@ -51,15 +51,15 @@ class Score:
     """Mean rate of a user without a direct path, over the states with such a user; `None` where there is none."""
     blocked_rate_mbps_ci95: float | None
     """`None` also for a single episode with such a user."""
-    outage: float | None
+    outage_time: float | None
     """Closed loop: share of the users' time below the minimum rate, at the sampling times. `None` in a static room."""
-    outage_ci95: float | None
+    outage_time_ci95: float | None
     states: int
     """Number of states of all seeds."""
     episodes: int
     """Independent episodes; in a static room each state is one. Below 10, the intervals say little."""
     crossing: tuple[str, ...]
-    """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
+    """The figures whose interval reaches beyond what they can be, such as an outage time below 0: use more episodes."""
     conditions: tuple[str, ...]
     """The conditions of the scenario, as `heliostat-lab eval` states them; those of policies excepted."""
     each: Mapping[str, tuple[float | None, ...]] = field(repr=False, hash=False)
@@ -121,17 +121,17 @@ def evaluate(
     with inner.with_other_rooms():
         groups = _samples(act, env, inner, states, seeds)
         found = score(inner.scenario, not inner.is_static, states, seeds, groups)
-    figures: dict[str, Any] = {"outage": None, "outage_ci95": None}
+    figures: dict[str, Any] = {"outage_time": None, "outage_time_ci95": None}
     crossing: list[str] = []
     each: dict[str, tuple[float | None, ...]] = {"states": tuple(len(group) for group in groups)}
     for name, (mean, ci95, crosses), of_episodes in found:
-        own = _NAMES.get(name, name)
-        figures |= {own: mean, f"{own}_ci95": ci95}
-        each[own] = tuple(None if math.isnan(value) else value for value in of_episodes)
+        figures |= {name: mean, f"{name}_ci95": ci95}
+        each[name] = tuple(None if math.isnan(value) else value for value in of_episodes)
         if crosses:
-            crossing.append(own)
-    for name in ("blocked_rate_mbps", "blocked_rate_mbps_ci95"):
-        figures[name] = None if math.isnan(figures[name]) else figures[name]
+            crossing.append(name)
+    for name in ("blocked_rate_mbps", "jain"):
+        for part in (name, f"{name}_ci95"):
+            figures[part] = None if math.isnan(figures[part]) else figures[part]
     if len(groups) < _EPISODES_FEW:
         count = "1 episode" if len(groups) == 1 else f"{len(groups)} episodes"
         warnings.warn(

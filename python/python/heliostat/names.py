@@ -29,7 +29,7 @@ Agents: TypeAlias = Literal["users", "arrays"]
 ArrayTable: TypeAlias = Literal["commands", "telemetry", "decisions"]
 """The tables of a recording that belong to an array."""
 
-Table: TypeAlias = Literal["reports", "channels", "truth", ArrayTable]
+Table: TypeAlias = Literal["reports", "channels", "truth", "belief", ArrayTable]
 """The tables of a recording."""
 
 Library: TypeAlias = Literal["pandas", "polars"]

@@ -20,7 +20,7 @@ from ._checks import integer, one_of
 from ._core import ARRAYS_MAX, Scenario
 from ._core import Recording as _Recording
 from .names import ArrayTable, Library, Table
-from .tables import Channels, Commands, Reports, Telemetry, Truth
+from .tables import Beliefs, Channels, Commands, Reports, Telemetry, Truth
 
 
 def _index(array: int) -> int:
@@ -122,10 +122,20 @@ class Recording:
         """
         return self._inner.truth()
 
+    def belief(self) -> Beliefs:
+        """What controllers believed about the users, as they published it: one row for each user of each message.
+
+        `arrived_ns`, `time_ns` (of the decision), `holds_ns` (for which the belief holds), `tick` (of the report that
+        the decision answers), `source` (of the controller), `user`, `position_m` (n, 3), `velocity_m_s` (n, 2), the
+        covariance of x and y as `xx_m2`, `xy_m2` and `yy_m2`, `heading_rad`, `heading_certainty` from 0 (unknown) to 1,
+        and `blocked_probability`. A controller publishes at most 20 a second, and none with a belief other than `filter`.
+        """
+        return self._inner.belief()
+
     def frame(self, of: Table, array: int = 0, library: Library = "pandas") -> Any:
         """A table of the recording as a data frame of pandas, or of Polars with `library="polars"`.
 
-        `of` is `reports`, `channels`, `commands`, `telemetry`, `truth` or `decisions`. A column of vectors becomes one
+        `of` is `reports`, `channels`, `truth`, `belief`, `commands`, `telemetry` or `decisions`. A column of vectors becomes one
         column for each component: `position_x_m`, `position_y_m`, `position_z_m`, or `roll_0`, `roll_1`, ... Times in ns
         stay int64: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library, which the extra `frames` installs.
         """

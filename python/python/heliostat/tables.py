@@ -103,3 +103,22 @@ class Truth(TypedDict):
     rate_mbps: _F64
     min_rate_mbps: _F64
     oracle_sum_rate_mbps: _F64
+
+
+class Beliefs(TypedDict):
+    """The belief of controllers in a recording: one row for each user of each message."""
+
+    arrived_ns: _I64
+    time_ns: _I64
+    holds_ns: _I64
+    tick: _U64
+    source: _U64
+    user: _U32
+    position_m: _F32
+    velocity_m_s: _F32
+    xx_m2: _F32
+    xy_m2: _F32
+    yy_m2: _F32
+    heading_rad: _F32
+    heading_certainty: _F32
+    blocked_probability: _F32

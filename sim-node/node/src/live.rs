@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::DROPPED;
 use heliostat_driver::run::SLEEP_MAX;
 use heliostat_room::reports::Report;
 use heliostat_service::{Stop, clock::as_ns};
@@ -34,7 +35,7 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
         drain(&mut node);
         node.keep_latches(false);
     }
-    node.refused.set("dropped", node.session.dropped());
+    node.refused.set(DROPPED, node.session.dropped());
     let skipped_instants = publisher.skipped();
     let measurements = publisher.finish()?;
     let summary = Summary { skipped_instants, ..node.summary(&measurements) };

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_array::refusal_counts;
 use heliostat_proto::Quantiles;
 use heliostat_room::baselines::RateCounters;
 use heliostat_room::world::arrivals::Turnover;
@@ -158,7 +159,7 @@ impl fmt::Display for Summary {
             writeln!(f, "not published   {} states for viewers: the processors were busy", self.skipped_instants)?;
         }
         for (name, count) in &self.refused {
-            writeln!(f, "refused         {name}: {count}")?;
+            writeln!(f, "{}", refusal_counts::line(name, *count))?;
         }
         if let Some(hash) = &self.hash {
             writeln!(f, "hash            {hash}")?;

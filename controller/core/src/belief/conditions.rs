@@ -226,8 +226,8 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
 
 /// The condition of a room in which the range of the mirrors leaves a part of the floor without their light.
 pub fn small_range(scenario: &Scenario, model: &ChannelModel) -> Option<Condition> {
-    let because = range::too_small(scenario, model)?;
-    let consequence = "users elsewhere get none; widen the range, or move the mirrors or the LEDs".into();
+    let range::SmallRange { because, advice } = range::too_small(scenario, model)?;
+    let consequence = format!("users elsewhere get none; {advice}");
     Some(Condition { method: "light by mirrors on all of the floor".into(), because, consequence })
 }
 

@@ -11,11 +11,10 @@ impl PolicyKind {
     pub fn conditions(self, scenario: &Scenario) -> Vec<Condition> {
         let mut found = Vec::new();
         let name = self.name();
-        let search_time_us = scenario.control.search_time_us;
-        if matches!(self, Self::SineCosine | Self::Pso) && search_time_us > 0.0 {
+        if self.is_ended_by_clock(scenario) {
             found.push(Condition {
                 method: format!("the promise of equal runs of {name}"),
-                because: format!("control.search_time_us = {search_time_us}"),
+                because: format!("control.search_time_us = {}", scenario.control.search_time_us),
                 consequence:
                     "the search ends by the clock, so a faster or idle machine gives higher rates; set it to 0".into(),
             });
@@ -31,6 +30,12 @@ impl PolicyKind {
             });
         }
         found
+    }
+
+    /// Whether the clock ends the search of the policy in a scenario, so that the speed of the machine changes its
+    /// angles.
+    pub fn is_ended_by_clock(self, scenario: &Scenario) -> bool {
+        matches!(self, Self::SineCosine | Self::Pso) && scenario.control.search_time_us > 0.0
     }
 }
 

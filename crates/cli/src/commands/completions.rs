@@ -25,10 +25,11 @@ pub struct ManualArgs {
     folder: PathBuf,
 }
 
-/// Prints completions.
+/// Prints completions for the program of a command.
 pub fn completions(args: CompletionArgs, mut command: Command) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut command, "heliostat", &mut script);
+    let program = command.get_name().to_owned();
+    clap_complete::generate(args.shell, &mut command, program, &mut script);
     // Written at once: the reader may close the pipe early.
     Ok(output::bytes(&script)?)
 }

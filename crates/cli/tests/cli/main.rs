@@ -5,6 +5,7 @@ mod config;
 mod doctor;
 mod durations;
 mod help;
+mod json_errors;
 mod link;
 #[cfg(target_os = "linux")]
 mod output;

@@ -5,7 +5,14 @@ use std::process::Command;
 
 #[test]
 fn an_output_that_cannot_be_written_is_named() {
-    for command in [&["scenario", "check", "hall"][..], &["completions", "bash"]] {
+    for command in [
+        &["scenario", "check", "hall"][..],
+        &["completions", "bash"],
+        &["--help"],
+        &["--version"],
+        &["scenario", "check", "--help"],
+        &["link", "--json"],
+    ] {
         let full = OpenOptions::new().write(true).open("/dev/full").expect("a device of Linux");
         let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).stdout(full).output();
         let ended = ended.expect("the program starts");
@@ -13,4 +20,13 @@ fn an_output_that_cannot_be_written_is_named() {
         assert!(errors.contains("cannot write to standard output: No space left on device"), "{command:?}: {errors}");
         assert_eq!(ended.status.code(), Some(1), "{command:?}");
     }
+}
+
+#[test]
+fn a_closed_reader_of_the_help_is_no_failure() {
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).arg("--help").stdout(writer).output();
+    let ended = ended.expect("the program starts");
+    assert!(ended.status.success() && ended.stderr.is_empty(), "{ended:?}");
 }

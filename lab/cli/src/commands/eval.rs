@@ -22,6 +22,7 @@ use heliostat_core::policy::PolicyKind;
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Report, Settings};
+use heliostat_learn::threads::on_threads;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs, override_keys};
 use heliostat_service::duration::seconds;
@@ -130,6 +131,10 @@ pub struct Args {
     /// mirrors
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Vec<Sweep>,
+    /// Threads that evaluate at the same time; the figures are the same for any number, decision times excepted: those
+    /// of 1 are undisturbed [default: RAYON_NUM_THREADS, or one for each processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
     /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -304,11 +309,14 @@ pub fn run(args: Args) -> Result<()> {
     }
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;
-    let compared = settings.iter().enumerate().map(|(index, one)| {
-        note_point(grid, index);
-        interruption.compare(one)
-    });
-    let reports = compared.collect::<Result<Vec<_>>>()?;
+    let compared = || {
+        let points = settings.iter().enumerate().map(|(index, one)| {
+            note_point(grid, index);
+            interruption.compare(one)
+        });
+        points.collect::<Result<Vec<_>>>()
+    };
+    let reports = on_threads(args.threads.map_or(0, usize::from), compared)??;
     if let Some(grid) = grid {
         note_without_effect(grid, &reports);
     }
@@ -336,8 +344,8 @@ pub fn run(args: Args) -> Result<()> {
                 for bases in &bases {
                     let Some(differences) = differences::to_base(&reports, bases, index) else { continue };
                     match bases.key {
-                        None => entry["difference_to_first"] = differences,
-                        Some(key) => entry["difference_along"][key] = differences,
+                        None => entry[differences::TO_FIRST] = differences,
+                        Some(key) => entry[differences::ALONG][key] = differences,
                     }
                 }
                 Ok(entry)

@@ -84,6 +84,28 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
+/// A policy continues from its last solution, so that the order of its states matters.
+#[test]
+fn any_number_of_threads_gives_the_same_figures() {
+    for mode in [&["--states", "9"][..], &["--closed-loop", "--ceilings", "--episodes", "3"]] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("episodes.csv");
+        let run = |threads: &str| {
+            let flags = ["--policies", "greedy,fixed-point,ddpg,random", "--seeds", "2", "--threads", threads];
+            let files = ["--csv-episodes", file.to_str().expect("a plain path")];
+            let figures = without_times(report(&[&flags[..], mode, &SMALL, &files].concat()));
+            (figures, std::fs::read_to_string(&file).expect("readable"))
+        };
+        let one = run("1");
+        assert!(one.0["policies"]["random"].is_object(), "{}", one.0);
+        for threads in ["2", "5"] {
+            assert!(run(threads) == one, "{mode:?} on {threads} threads");
+        }
+    }
+    let message = refusal(&["--threads", "0"]);
+    assert!(message.contains("--threads"), "{message}");
+}
+
 #[test]
 fn spaces_around_the_names_of_policies_count_for_nothing() {
     let report = report(&["--policies", "greedy, flat", "--states", "1", "--seeds", "1"]);

@@ -57,3 +57,11 @@ fn a_closed_output_is_not_an_error() {
     let ended = program.wait_with_output().expect("it ends");
     assert!(ended.status.success() && ended.stderr.is_empty(), "{}", String::from_utf8_lossy(&ended.stderr));
 }
+
+#[test]
+fn completions_are_those_of_this_program() {
+    let script = String::from_utf8(lab(&["completions", "bash"]).stdout).expect("text");
+    let command =
+        script.lines().find(|line| line.trim_start().starts_with("complete -F")).expect("a line for the shell");
+    assert!(command.ends_with(" heliostat-lab"), "{command}");
+}

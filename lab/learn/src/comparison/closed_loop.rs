@@ -31,9 +31,10 @@ use super::ceiling::Ceiling;
 use super::episode_row::{self, of_episodes};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::row::rows;
-use super::run::Run;
+use super::run::{Run, of_policies};
 use super::settings::{RANDOM_DRAWS, Settings};
 use super::tracked_user::TrackedUser;
+use crate::threads::parts;
 
 /// Compares at `states` sampling times of each seed.
 pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Compared, Beliefs, Vec<TrackedUser>)> {
@@ -41,25 +42,16 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     let trace = scenario.read_trace()?;
     let trace = trace.as_deref();
     let episodes = held_out_episodes(scenario, trace, (settings.states, settings.seeds), settings.warm)?;
-    let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
+    let evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     bar.set_length(episodes.len() as u64);
     bar.set_message("episodes solved by the oracle");
-    let mut oracle = Vec::new();
-    for episode in &episodes {
-        oracle.push(solve(settings, trace, episode, &mut evaluator)?);
+    let solve = |evaluator: &mut Evaluator, index: usize| {
+        let samples = solve(settings, trace, &episodes[index], evaluator)?;
         bar.inc(1);
-    }
-    bar.reset();
-    bar.set_length(settings.policies.len() as u64);
-    let mut runs = Vec::new();
-    for evaluated in &settings.policies {
-        bar.set_message(format!("policies: {}", evaluated.name()));
-        let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
-        let of_policy: Vec<Run> =
-            trainings.map(|one| run(settings, &one, &episodes, &mut evaluator)).collect::<anyhow::Result<_>>()?;
-        runs.push(of_policy);
-        bar.inc(1);
-    }
+        Ok(samples)
+    };
+    let oracle = parts(true, episodes.len(), || evaluator.clone(), solve)?;
+    let runs = of_policies(settings, bar, |one| run(settings, one, &episodes, &evaluator))?;
     let all = runs.iter().flatten();
     let tracked = all.map(|run| &run.tracked).find(|tracked| !tracked.is_empty()).cloned().unwrap_or_default();
     let each = episode_row::rows(settings, &of_episodes(settings, &episodes), &runs, &oracle);
@@ -100,59 +92,56 @@ fn run(
     settings: &Settings,
     evaluated: &EvaluatedPolicy,
     episodes: &[HeldOutEpisode],
-    evaluator: &mut Evaluator,
+    evaluator: &Evaluator,
 ) -> anyhow::Result<Run> {
     let scenario = evaluated.scenario(&settings.scenario);
     let trace = scenario.read_trace()?;
+    let trace = trace.as_deref();
     let dark = settings.dark_angles();
+    let has_belief = evaluated.belief(&scenario).is_some();
+    let measured_ns = start_ns() + settings.warm.as_nanos() as u64;
     // The draws are divided among the seeds.
-    let draws = if evaluated.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
-    let runs = (0..draws).map(|draw| {
-        let mut run = Run::default();
-        for episode in episodes {
-            let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
-            let policy = evaluated.build(&scenario, seed)?;
-            let (mut samples, mut outages) = (Vec::new(), OutageLog::default());
-            let mut look = |now_ns: u64, room: &SimulatedRoom| {
-                let world = room.world();
-                let sample = evaluator.evaluate_world(world, dark.as_ref().unwrap_or(room.angles()));
-                if episode.instants_ns.binary_search(&now_ns).is_ok() {
-                    samples.push(sample);
-                }
-                if now_ns.is_multiple_of(OUTAGE_STEP_NS) {
-                    outages.handle(world.ids().iter().copied().zip(evaluator.below_minimum()));
-                }
-            };
-            let failed = || format!("policy {}", evaluated.name());
-            if let Some(known) = evaluated.known() {
-                let room = episode.begun(&scenario, trace.as_deref())?;
-                evaluated.begin_episode().with_context(failed)?;
-                Ceiling::new(&scenario, room, policy, known)
-                    .run(&episode.looks_ns(), &mut look)
-                    .with_context(failed)?;
-                run.groups.push(samples);
-                run.outages.push(outages);
-                continue;
+    let draws = if evaluated.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) } else { 1 };
+    let of_episode = |evaluator: &mut Evaluator, index: usize| {
+        let (draw, episode) = (index / episodes.len(), &episodes[index % episodes.len()]);
+        let seed = scenario.seed.wrapping_add(episode.set * draws as u64 + draw as u64);
+        let policy = evaluated.build(&scenario, seed)?;
+        let (mut run, mut samples, mut outages) = (Run::default(), Vec::new(), OutageLog::default());
+        let mut look = |now_ns: u64, room: &SimulatedRoom| {
+            let world = room.world();
+            let sample = evaluator.evaluate_world(world, dark.as_ref().unwrap_or(room.angles()));
+            if episode.instants_ns.binary_search(&now_ns).is_ok() {
+                samples.push(sample);
             }
+            if now_ns.is_multiple_of(OUTAGE_STEP_NS) {
+                outages.handle(world.ids().iter().copied().zip(evaluator.below_minimum()));
+            }
+        };
+        let failed = || format!("policy {}", evaluated.name());
+        if let Some(known) = evaluated.known() {
+            let room = episode.begun(&scenario, trace)?;
+            evaluated.begin_episode().with_context(failed)?;
+            Ceiling::new(&scenario, room, policy, known).run(&episode.looks_ns(), &mut look).with_context(failed)?;
+        } else {
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-            let started = (controller, evaluated.is_aware());
-            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, started)?;
+            let mut lockstep = Lockstep::new(&scenario, trace, episode, (controller, evaluated.is_aware()))?;
             evaluated.begin_episode().with_context(failed)?;
             lockstep.run(&episode.looks_ns(), &mut look).with_context(failed)?;
-            run.groups.push(samples);
-            run.outages.push(outages);
-            run.decisions_us.append(&mut lockstep.decisions_us);
-            if evaluated.belief(&scenario).is_some() {
-                if run.belief.is_empty() {
-                    run.tracked = lockstep.log.tracked(episode.world(&scenario, trace.as_deref())?, start_ns());
-                }
-                let measured_ns = start_ns() + settings.warm.as_nanos() as u64;
-                run.belief.push(lockstep.log.errors(episode.world(&scenario, trace.as_deref())?, measured_ns));
+            run.decisions_us = lockstep.decisions_us;
+            if has_belief {
+                run.belief.push(lockstep.log.errors(episode.world(&scenario, trace)?, measured_ns));
+            }
+            if has_belief && index == 0 {
+                run.tracked = lockstep.log.tracked(episode.world(&scenario, trace)?, start_ns());
             }
         }
+        run.groups.push(samples);
+        run.outages.push(outages);
         Ok(run)
-    });
-    Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
+    };
+    let count = draws * episodes.len();
+    let mut ran = parts(evaluated.is_parallel(&scenario), count, || evaluator.clone(), of_episode)?.into_iter();
+    Ok(Run::mean((0..draws).map(|_| Run::joined(ran.by_ref().take(episodes.len()))).collect()))
 }
 
 /// A room and its controller in the same simulated time, with the times of the decisions.

@@ -15,6 +15,9 @@ pub(super) const BLOCKED_STATES: &str = "blocked_states";
 /// The figure that weights `ratio_to_oracle`: the number of states in which the oracle serves a user.
 const RATIO_STATES: &str = "ratio_states";
 
+/// The figure that weights `jain`: the number of states in which a user has a rate.
+const JAIN_STATES: &str = "jain_states";
+
 /// A room of a comparison with its states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
@@ -103,6 +106,7 @@ fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Ou
         (RATIO_STATES, values(Figure::RATIO).len() as f64),
         of(Figure::QOS_MET),
         of(Figure::JAIN),
+        (JAIN_STATES, values(Figure::JAIN).len() as f64),
         of(Figure::BLOCKED_RATE),
         (BLOCKED_STATES, values(Figure::BLOCKED_RATE).len() as f64),
         of(Figure::BER),
@@ -151,5 +155,15 @@ mod tests {
         let (group, user_minutes) = (Group { set: 1, room: 2 }, f64::NAN);
         let row = EpisodeRow { policy: None, actor: None, group, states: 3, figures, user_minutes };
         assert_eq!((row.figure("ratio_to_oracle"), row.figure(RATIO_STATES)), (0.75, 2.0));
+    }
+
+    #[test]
+    fn jains_index_is_weighted_by_the_states_in_which_a_user_has_a_rate() {
+        let sample = |jain| Sample { sum_rate_mbps: 1.0, met: 1.0, jain, blocked_rate_mbps: f64::NAN, ber: 0.0 };
+        let own = [1.0, f64::NAN, 0.5].map(sample);
+        let figures = figures(Loop::Static, (&own, &own), None);
+        let (group, user_minutes) = (Group { set: 1, room: 2 }, f64::NAN);
+        let row = EpisodeRow { policy: None, actor: None, group, states: 3, figures, user_minutes };
+        assert_eq!((row.figure("jain"), row.figure(JAIN_STATES)), (0.75, 2.0));
     }
 }

@@ -214,6 +214,16 @@ impl EvaluatedPolicy {
         matches!(self.origin, Origin::Kind(PolicyKind::Random, _))
     }
 
+    /// Whether the parts of a comparison may run at the same time: a function in Python has one process, and a search
+    /// that the clock ends needs a processor of its own.
+    pub(super) fn is_parallel(&self, scenario: &Scenario) -> bool {
+        match &self.origin {
+            Origin::Kind(kind, _) => !kind.is_ended_by_clock(scenario),
+            Origin::Codebook => true,
+            Origin::Python(_) => false,
+        }
+    }
+
     /// The scenario of the policy's controller.
     pub(super) fn scenario(&self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();

@@ -121,7 +121,7 @@ pub struct Row {
     pub ratio_to_oracle: Spread,
     /// Share of users whose minimum rate is met.
     pub qos_met: Spread,
-    /// Jain's fairness index of the rates.
+    /// Jain's fairness index of the rates, over the states in which a user has one.
     pub jain: Spread,
     /// Mean rate of the users without a direct path in Mbit/s.
     pub blocked_rate_mbps: Spread,

@@ -15,10 +15,11 @@ use super::Compared;
 use super::episode_row::{self, of_states};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::row::rows;
-use super::run::Run;
+use super::run::{Run, of_policies};
 use super::settings::{RANDOM_DRAWS, Settings};
 use crate::environment::room::observe;
 use crate::evaluation::held_out::{best_angles, held_out_world};
+use crate::threads::parts;
 
 /// Decisions before the timed ones, so that buffers have their size and caches are warm.
 const WARM_UP: usize = 8;
@@ -26,39 +27,29 @@ const WARM_UP: usize = 8;
 /// Compares on `states` states of each seed.
 pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Compared> {
     let scenario = &settings.scenario;
-    let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
+    let evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     let states = states(settings, bar, &evaluator)?;
-    let oracle: Vec<Vec<Sample>> = solve(settings, &states, bar, &mut evaluator);
-    let mut runs = Vec::new();
-    bar.reset();
-    bar.set_length(settings.policies.len() as u64);
-    for evaluated in &settings.policies {
-        bar.set_message(format!("policies: {}", evaluated.name()));
-        let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
-        let of_policy: Vec<Run> =
-            trainings.map(|one| run(settings, &one, &states, &mut evaluator)).collect::<anyhow::Result<_>>()?;
-        runs.push(of_policy);
-        bar.inc(1);
-    }
+    let oracle = solve(settings, &states, bar, &evaluator)?;
+    let runs = of_policies(settings, bar, |one| run(settings, one, &states, &evaluator))?;
     let each = episode_row::rows(settings, &of_states(settings), &runs, &oracle);
     Ok((rows(settings, &runs, &oracle), each))
 }
 
 fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyhow::Result<Vec<Observation>> {
     let scenario = &settings.scenario;
-    bar.set_length((settings.seeds * settings.states) as u64);
+    let count = settings.seeds * settings.states;
+    bar.set_length(count as u64);
     bar.set_message("rooms drawn");
-    let mut states = Vec::new();
-    for index in 0..settings.seeds * settings.states {
+    let draw = |(): &mut (), index: usize| {
         let (set, index) = held_out_state(scenario.seed, settings.states, index);
         let world = held_out_world(scenario, None, set, index)?;
         let mut seen = Observation::new(evaluator.model(), scenario.users.count);
         seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
         observe(&world, &mut seen);
-        states.push(seen);
         bar.inc(1);
-    }
-    Ok(states)
+        Ok(seen)
+    };
+    parts(true, count, || (), draw)
 }
 
 /// The oracle's sample in each state.
@@ -66,37 +57,41 @@ fn solve(
     settings: &Settings,
     states: &[Observation],
     bar: &ProgressBar,
-    evaluator: &mut Evaluator,
-) -> Vec<Vec<Sample>> {
+    evaluator: &Evaluator,
+) -> anyhow::Result<Vec<Vec<Sample>>> {
     bar.reset();
     bar.set_message("states solved by the oracle");
-    let mut solver: Option<Solver> = None;
     let dark = settings.dark_angles();
-    let solve = |seen: &Observation| {
+    let begin = || (evaluator.clone(), None);
+    let solve = |(evaluator, solver): &mut (Evaluator, Option<Solver>), index: usize| {
+        let seen = &states[index];
         if let Some(angles) = &dark {
-            return vec![evaluator.evaluate(&seen.scene, angles)];
+            return Ok(vec![evaluator.evaluate(&seen.scene, angles)]);
         }
+        // The oracle does not depend on the states that its solver solved before.
         let solver = solver.get_or_insert_with(|| Solver::new(seen.users(), seen.mirrors()));
         let angles = best_angles(solver, evaluator.model(), &seen.scene, &seen.min_rate_bps);
         bar.inc(1);
-        vec![evaluator.evaluate(&seen.scene, &angles)]
+        Ok(vec![evaluator.evaluate(&seen.scene, &angles)])
     };
-    states.iter().map(solve).collect()
+    parts(true, states.len(), begin, solve)
 }
 
 fn run(
     settings: &Settings,
     evaluated: &EvaluatedPolicy,
     states: &[Observation],
-    evaluator: &mut Evaluator,
+    evaluator: &Evaluator,
 ) -> anyhow::Result<Run> {
+    let scenario = &settings.scenario;
     let draws = if evaluated.is_random() { RANDOM_DRAWS } else { 1 };
-    let runs = (0..draws as u64).map(|draw| {
-        let mut policy = evaluated.build(&settings.scenario, settings.scenario.seed.wrapping_add(draw))?;
+    // A policy may continue from its last angles, so that one thread runs it in all states.
+    let once = |evaluator: &mut Evaluator, draw: usize| {
+        let mut policy = evaluated.build(scenario, scenario.seed.wrapping_add(draw as u64))?;
         run_once(settings, (evaluated, policy.as_mut()), states, evaluator)
             .map_err(|error| error.context(format!("policy {}", evaluated.name())))
-    });
-    Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
+    };
+    Ok(Run::mean(parts(evaluated.is_parallel(scenario), draws, || evaluator.clone(), once)?))
 }
 
 fn run_once(

@@ -5,9 +5,9 @@ use heliostat_learn::comparison::{Loop, Report, Row, Spread};
 use heliostat_reproduce::machine;
 
 use super::ORACLE;
-use super::cells::rows;
+use super::cells::{of_policy, rows};
 use super::differences::Difference;
-use super::sweep::Grid;
+use super::sweep::{Bases, Grid};
 
 /// Columns that say where a line comes from.
 const ORIGIN: [&str; 3] = ["scenario", "configuration", "commit"];
@@ -35,8 +35,9 @@ fn cell(value: f64) -> String {
     }
 }
 
-/// A line for each policy; in a sweep the first columns are the values of the keys. The last column has the
-/// conditions of the room, separated by ` | `.
+/// A line for each policy; in a sweep the first columns are the values of the keys, and each point has its
+/// differences from the first one and along each key. The last column has the conditions of the room, separated by
+/// ` | `.
 pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     // The points of a sweep may have different policies, and all lines have the same columns.
@@ -44,15 +45,23 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let reference = Difference::reference(reports);
     let mut all_rows = reports.iter().flat_map(|report| &report.policies);
     let has_best = all_rows.any(|(_, row)| row.difference_to_best.is_some());
-    let spreads = |report: &Report, row: &Row| {
-        let further =
-            differences.iter().map(|one| (one.key, one.to(reference, report, row).unwrap_or(Spread::MISSING)));
-        let to_best = has_best.then(|| ("difference_to_best", row.difference_to_best.unwrap_or(Spread::MISSING)));
-        spreads(row).into_iter().chain(further).chain(to_best).collect::<Vec<_>>()
+    let bases = grid.map(Grid::bases).unwrap_or_default();
+    let of_bases = |bases| Difference::of_points(reports, bases).map(move |one| (bases, one));
+    let from_bases: Vec<(&Bases, Difference)> = bases.iter().flat_map(of_bases).collect();
+    let spreads = |index: usize, policy: &str, row: &Row| {
+        let own = spreads(row).into_iter().map(|(name, spread)| (name, Some(spread)));
+        let further = differences.iter().map(|one| (one.key, one.to(reference, &reports[index], row)));
+        let to_best = has_best.then_some(("difference_to_best", row.difference_to_best));
+        let named = own.chain(further).chain(to_best).map(|(name, spread)| (name.to_owned(), spread));
+        let from_bases = from_bases
+            .iter()
+            .map(|(bases, one)| (one.name_to_base(bases), one.to_base(reports, bases, index, of_policy(policy))));
+        let all = named.chain(from_bases).map(|(name, spread)| (name, spread.unwrap_or(Spread::MISSING)));
+        all.collect::<Vec<_>>()
     };
     let mut header = keys(grid);
     header.push("policy".into());
-    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(report, &report.oracle)) {
+    for (name, _) in reports.first().map_or_else(Vec::new, |first| spreads(0, ORACLE, &first.oracle)) {
         header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
     }
     header.extend(["decision_us_p50", "decision_us_p99", "training_seeds", "episodes"].map(String::from));
@@ -63,7 +72,7 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
         let conditions = report.conditions.iter().map(ToString::to_string).collect::<Vec<_>>().join(" | ");
         for (name, row) in rows(report) {
             let figures =
-                spreads(report, row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
+                spreads(index, name, row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
             let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
             let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
             let cells = figures.chain(times).chain([trained, report.episodes as f64]).map(cell);

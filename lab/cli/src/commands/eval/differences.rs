@@ -7,6 +7,12 @@ use serde_json::{Map, Value, json};
 use super::NEAR_BEST;
 use super::sweep::Bases;
 
+/// The differences to the first point of a sweep, in JSON and in CSV files.
+pub const TO_FIRST: &str = "difference_to_first";
+
+/// The differences along a key of a sweep, in JSON and in CSV files.
+pub const ALONG: &str = "difference_along";
+
 /// A paired difference.
 pub struct Difference {
     /// Its name in JSON and in CSV files.
@@ -92,6 +98,14 @@ impl Difference {
         let base = *bases.points.get(index)?;
         let (first, own) = (reports.get(base)?, reports.get(index)?);
         (index != base).then(|| own.minus(first, policy, self.of_figure)).flatten()
+    }
+
+    /// The name of the difference from such points in CSV files, with the parts of its name in JSON.
+    pub fn name_to_base(&self, bases: &Bases) -> String {
+        match bases.key {
+            None => format!("{TO_FIRST}_{}", self.of_figure),
+            Some(key) => format!("{ALONG}_{key}_{}", self.of_figure),
+        }
     }
 
     /// The differences that at least one point of a sweep has from its base.

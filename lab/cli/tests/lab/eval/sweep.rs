@@ -220,6 +220,28 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
         assert!((found.expect("a difference") - (own - base)).abs() < 1e-9, "{key}: {}", reports[3]);
     }
     assert!(reports[2]["difference_along"].get("blockage.forced_users").is_none(), "the first value of this key");
+    // The file has the differences of the tables, with their intervals.
+    for (column, at) in [
+        ("difference_to_first_outage_time", "/difference_to_first/policies/flat/outage_time"),
+        ("difference_along_mirrors.rows_sum_rate_mbps", "/difference_along/mirrors.rows/policies/flat/sum_rate_mbps"),
+        (
+            "difference_along_blockage.forced_users_qos_met",
+            "/difference_along/blockage.forced_users/policies/flat/qos_met",
+        ),
+    ] {
+        for part in ["mean", "ci95", "p5"] {
+            let name = format!("{column}_{part}");
+            let column = figures[0].split(',').position(|found| found == name).expect("a column");
+            let cell = |point: &str, policy: &str| {
+                let line = figures.iter().find(|line| line.starts_with(&format!("{point},{policy},"))).expect("a line");
+                line.split(',').nth(column).expect("a cell").parse::<f64>().ok()
+            };
+            let expected = reports[3].pointer(&format!("{at}/{part}")).and_then(serde_json::Value::as_f64);
+            let both = cell("3,2", "flat").zip(expected);
+            assert!(both.is_some_and(|(found, expected)| (found - expected).abs() < 1e-9), "{name}: {}", reports[3]);
+            assert!(cell("3,2", "(oracle)").is_some() && cell("0,0", "flat").is_none(), "{name}: {figures:?}");
+        }
+    }
     let along =
         "difference to mirrors.rows = 0 with the same blockage.forced_users, paired by episode: sum rate in Mbit/s";
     assert_eq!([["0", "2"], ["3", "2"]].map(|point| intervals(along, point)), [0, 3], "{text}");

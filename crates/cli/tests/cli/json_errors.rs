@@ -1,0 +1,52 @@
+//! What a command with `--json` prints where it fails.
+
+use serde_json::Value;
+
+use super::heliostat;
+
+/// The error on standard output, beside that on standard error.
+fn error_of(arguments: &[&str]) -> String {
+    let ended = heliostat(arguments);
+    assert!(!ended.status.success(), "{arguments:?}");
+    let object: Value = serde_json::from_slice(&ended.stdout).unwrap_or_else(|error| panic!("{arguments:?}: {error}"));
+    let error = object["error"].as_str().unwrap_or_else(|| panic!("{arguments:?}: {object}")).to_owned();
+    let errors = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(errors.contains(error.lines().next().expect("words")), "{arguments:?}: {errors} instead of {error}");
+    error
+}
+
+#[test]
+fn a_refused_input_is_also_an_object() {
+    for (arguments, part) in [
+        (&["link", "--json", "--scenario", "nope"][..], "nope"),
+        (&["link", "--json", "--set", "users.count=0"], "users.count"),
+        (&["replay", "none.mcap", "--verify", "--json"], "none.mcap"),
+        (&["keys", "show", "--json", "--dir", "no-such-folder"], "no-such-folder"),
+    ] {
+        let error = error_of(arguments);
+        assert!(error.contains(part), "{error}");
+    }
+}
+
+#[test]
+fn a_refused_command_line_is_also_an_object_without_its_usage() {
+    let error = error_of(&["link", "--json", "--xyz"]);
+    assert!(error.starts_with("unexpected argument '--xyz' found") && !error.contains("Usage"), "{error}");
+    let error = error_of(&["link", "--seed", "x", "--json"]);
+    assert!(error.starts_with("invalid value 'x' for '--seed <SEED>': expected a whole number from 0 to "), "{error}");
+}
+
+#[test]
+fn an_object_with_the_problem_is_the_only_one() {
+    let ended = heliostat(&["scenario", "check", "nope.toml", "--json"]);
+    let object: Value = serde_json::from_slice(&ended.stdout).expect("one object");
+    assert_eq!((&object["valid"], object.get("error")), (&false.into(), None), "{object}");
+}
+
+#[test]
+fn without_the_flag_an_error_is_on_standard_error_alone() {
+    for arguments in [&["link", "--scenario", "nope"][..], &["ui", "--json"], &["link", "--xyz"]] {
+        let ended = heliostat(arguments);
+        assert!(ended.stdout.is_empty() && !ended.stderr.is_empty(), "{arguments:?}");
+    }
+}

@@ -12,6 +12,7 @@ use std::io;
 use std::process::ExitCode;
 
 use crate::output;
+use crate::process::allow_files;
 
 /// The command failed, or it checked something and found it wrong.
 pub const FAILURE: u8 = 1;
@@ -44,9 +45,9 @@ impl std::error::Error for UnusableInput {}
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Runs a command, prints its error to standard error, and gives the exit code of the program.
+/// Runs a command with enough open files, prints its error to standard error, and gives the exit code of the program.
 pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
-    match command() {
+    match allow_files().and_then(|()| command()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {

@@ -7,6 +7,8 @@ mod durations;
 mod help;
 mod link;
 #[cfg(target_os = "linux")]
+mod open_files;
+#[cfg(target_os = "linux")]
 mod output;
 
 use std::process::{Command, Output};

@@ -76,7 +76,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-pub use input::{Examined, Handled, Input, InputChannel, InputKey, Output, Publish};
+pub use input::{Handled, Input, InputChannel, InputKey, Output, Publish};
 pub use repeater::Repeater;
 pub use undecodable::UndecodableCounts;
 
@@ -170,10 +170,9 @@ pub struct Examination {
 
 impl Examination {
     /// Compares them.
-    pub fn run(self) -> Input<'static> {
-        let Self { array, capabilities, examiner } = self;
-        let verdict = examiner.examine(array, &capabilities);
-        Input::Examined(Examined { array, capabilities, verdict })
+    pub fn run(self: Box<Self>) -> Input<'static> {
+        let verdict = self.examiner.examine(self.array, &self.capabilities);
+        Input::Examined(self, verdict)
     }
 }
 
@@ -225,7 +224,8 @@ impl RoomCore {
                 self.handle_token(now, token, is_alive);
                 Handled::Nothing
             }
-            Input::Examined(Examined { array, capabilities, verdict }) => {
+            Input::Examined(examination, verdict) => {
+                let Examination { array, capabilities, .. } = *examination;
                 if self.controller.handle_capabilities(array, &capabilities, verdict) {
                     self.known[array] = capabilities;
                 }

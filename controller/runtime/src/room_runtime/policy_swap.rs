@@ -191,23 +191,4 @@ mod tests {
         let misspelt = builder.build("gready").err().expect("no such policy");
         assert!(misspelt.ends_with("; a similar name exists: greedy"), "{misspelt}");
     }
-
-    #[test]
-    fn a_policy_worse_than_flat_mirrors_is_built_with_a_warning() {
-        let (policy, findings) = builder(Scenario::default()).build("ddpg-raw").expect("it is there");
-        assert_eq!(policy.name(), "ddpg-raw");
-        let [Finding::Warning(warning)] = &findings[..] else { panic!("expected one warning: {findings:?}") };
-        assert!(warning.contains("worse than flat mirrors"), "{warning}");
-    }
-
-    #[test]
-    fn a_policy_that_does_not_fit_the_room_is_refused_with_the_reason() {
-        let mut scenario = Scenario::default();
-        let array = scenario.mirrors.first_mut();
-        (array.rows, array.columns) = (6, 9);
-        let refusal = builder(scenario.clone()).build("ddpg-raw").err().expect("no file for 6 x 9 mirrors");
-        assert!(refusal.contains("6x9"), "{refusal}");
-        let (policy, _) = builder(scenario).build("ddpg").expect("its file serves any array");
-        assert_eq!(policy.engine(), Some("dense"));
-    }
 }

@@ -63,7 +63,7 @@ pub const EVENT_EVERY: Duration = INTERVAL;
 #[derive(Clone, Debug, Default)]
 pub struct EventLimit {
     last: Option<Instant>,
-    /// At the last event: the time until each event that had a line may be followed by a further one.
+    /// Time since the last event after which none counts any more: each one with a line adds [`EVENT_EVERY`].
     owed: Duration,
     further: LogLimit,
 }

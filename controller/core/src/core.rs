@@ -190,7 +190,7 @@ impl Controller {
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
             },
-            journal: Journal::disabled(),
+            journal: Journal::default(),
             counters: Counters::default(),
             model,
         }

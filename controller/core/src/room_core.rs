@@ -311,14 +311,10 @@ impl RoomCore {
         self.drivers.absent(now, &self.controller)
     }
 
-    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced.
-    pub fn lost_drivers(&self) -> impl Iterator<Item = LostDriver> + '_ {
+    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced; of each
+    /// whether another driver served its array then.
+    pub fn lost_drivers(&self) -> impl Iterator<Item = (LostDriver, bool)> + '_ {
         self.drivers.lost()
-    }
-
-    /// Those of them that left while another driver served their array.
-    pub fn lost_beside_others(&self) -> impl Iterator<Item = LostDriver> + '_ {
-        self.drivers.lost_beside_others()
     }
 
     /// Number of trackers and simulators in the room, by their liveliness tokens.

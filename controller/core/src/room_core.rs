@@ -27,25 +27,17 @@
 //! use heliostat_core::{
 //!     policy::Fixed,
 //!     refusal::Stream,
-//!     room_core::{Input, InputKey, Output, Publish, RoomCore, RoomSettings},
+//!     room_core::{Input, InputKey, Output, RoomCore, RoomSettings},
 //!     tenure::Tenure,
 //! };
 //! use heliostat_proto::{Stamp, UserReport, UserState, encode};
 //! use heliostat_scenario::Scenario;
 //!
-//! struct Published(Vec<Output>);
-//!
-//! impl Publish for Published {
-//!     fn publish(&mut self, output: Output, _payload: &[u8]) {
-//!         self.0.push(output);
-//!     }
-//! }
-//!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1"])?;
 //! let policy = Box::new(Fixed::flat(scenario.mirror_count()));
 //! let mut room = RoomCore::new(&scenario, policy, RoomSettings::new(9, Tenure::fixed(1)))?;
-//! let mut published = Published(Vec::new());
+//! let mut published: Vec<(Output, Vec<u8>)> = Vec::new();
 //!
 //! let now = 10_000_000;
 //! let user = UserState { position_m: [1.0, 0.5, 0.85], ..UserState::default() };
@@ -54,7 +46,7 @@
 //! encode(&UserReport { stamp, tick: 1, users: vec![user] }, &mut payload)?;
 //! let key = InputKey::Report(Stream::Users.into());
 //! room.advance(now, Input::Payload { key, bytes: &payload }, &mut published);
-//! assert_eq!(published.0[0], Output::Command(0));
+//! assert_eq!(published[0].0, Output::Command(0));
 //! # Ok(())
 //! # }
 //! ```

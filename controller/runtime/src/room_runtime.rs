@@ -137,8 +137,7 @@ impl RoomRuntime {
         };
         let thread = Some(spawn(&room, &handler)?);
         let mut subscriptions = subscriptions::subscribe(bus, &handler)?;
-        let builder =
-            PolicyBuilder { scenario: scenario.clone(), model: scenario.channel_model()?, configured: (kind, actor) };
+        let builder = PolicyBuilder { scenario: scenario.clone(), configured: (kind, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         let (peers, statuses) = PeerStatuses::subscribe(bus)?;
         subscriptions.extend([orders, statuses]);

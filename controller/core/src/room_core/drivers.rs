@@ -163,17 +163,6 @@ mod tests {
     }
 
     #[test]
-    fn a_driver_drives_its_array_and_a_simulator_every_one() {
-        let room = Room::new("lab").expect("a valid name");
-        let of = |key: String| parse_array_alive(&key).into_iter().collect::<BTreeSet<Token>>();
-        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens.iter(), array));
-        assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
-        assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
-        assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
-        assert_eq!(driven(&of(room.alive(NodeKind::Viewer, 7))), [false; 3]);
-    }
-
-    #[test]
     fn a_driver_that_has_left_is_lost_until_it_returns_is_replaced_or_a_stop_is_released() {
         let room = Room::new("lab").expect("a valid name");
         let mut drivers = Drivers::new(2);

@@ -83,12 +83,6 @@ impl From<&CodecError> for Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
 /// The last message that was refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LastRefusal {

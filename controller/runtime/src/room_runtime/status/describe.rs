@@ -149,7 +149,7 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
             "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
             -age_s
         ),
-        _ => format!("{name} refused: {refusal}"),
+        _ => format!("{name} refused: {}", refusal.name()),
     })
 }
 

@@ -234,8 +234,10 @@ fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
     }
     let bus = Bus::open(&config.clone().reaching(Reach::Within(DRIVER_WAIT)))?;
     bus.wait_connected(CONNECTED_WITHIN);
-    let at = |endpoint: &String| BusConfig { connect: vec![endpoint.clone()], ..config.clone() };
-    let is_silent = |endpoint: &&String| Bus::find_unanswered(&at(endpoint)).is_some();
+    let is_silent = |endpoint: &&String| {
+        let at = BusConfig { connect: vec![(*endpoint).clone()], ..config.clone() };
+        Bus::find_unanswered(&at).is_some()
+    };
     let unanswered = config.connect.iter().filter(is_silent).cloned().collect();
     Ok((bus, unanswered))
 }

@@ -4,7 +4,7 @@
 use crate::codec::{BufferFull, Reader, Unreadable, Writer};
 use crate::error::CodecError;
 use crate::kind::Kind;
-use crate::limits::{MAX_MIRRORS, MAX_TEXT};
+use crate::limits::{LENGTH_TOLERANCE, MAX_MIRRORS, MAX_TEXT};
 
 /// A type that a field can have.
 pub(crate) trait Value {
@@ -373,9 +373,6 @@ pub(crate) fn ordered(
     }
     Err(place.out_of_domain(f64::from(*smallest), "a smallest angle that is not above the largest"))
 }
-
-/// Largest difference of the length of a quaternion from 1.
-const LENGTH_TOLERANCE: f64 = 1e-3;
 
 /// Rule for one field: a quaternion has length 1.
 pub(crate) fn is_rotation(place: Place, (field, quaternion): (&'static str, &[f32; 4])) -> Result<(), CodecError> {

@@ -57,6 +57,9 @@ pub const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 /// a state that can be restored. A controller leaves a faster user out.
 pub const SPEED_MAX_M_S: f64 = 100.0;
 
+/// Largest difference of the length of a quaternion from 1.
+pub const LENGTH_TOLERANCE: f64 = 1e-3;
+
 /// Longest text of a [`RoomGeometry`](crate::RoomGeometry) in bytes of UTF-8.
 pub const MAX_GEOMETRY: usize = 16_384;
 

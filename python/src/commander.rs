@@ -247,7 +247,7 @@ impl Commander {
         for (prefix, name, count) in modes.into_iter().chain(events).filter(|(_, _, count)| *count > 0) {
             table.set_item(format!("{prefix}{name}"), count)?;
         }
-        for (name, since_s) in room.lost_drivers().map(|lost| lost.counter()) {
+        for (name, since_s) in room.lost_drivers().map(|(lost, _)| lost.counter()) {
             table.set_item(name, since_s)?;
         }
         Ok(table)

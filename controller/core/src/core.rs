@@ -31,14 +31,6 @@
 //! called at any time. No method waits, logs, reads a clock or, after the start-up warm-up,
 //! allocates in this project's code.
 //!
-//! # Stages of a decision
-//!
-//! 1. **Inbox**: accept the report or refuse it.
-//! 2. **Observe**: combine the latest reports into one observation. Mirrors that do not follow are
-//!    left out, as are pairs of a mirror and a user beyond the mirror's range.
-//! 3. **Infer**: the policy proposes angles; if it fails, the fallback does.
-//! 4. **Make safe**: limit the proposal to range and slew rate.
-//!
 //! # Users
 //!
 //! A position report may have 0 to 64 users, and other users than the last one. The reports are
@@ -190,7 +182,7 @@ impl Controller {
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
             },
-            journal: Journal::disabled(),
+            journal: Journal::default(),
             counters: Counters::default(),
             model,
         }

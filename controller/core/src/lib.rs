@@ -19,56 +19,7 @@
 //! - [`capabilities`]: compares the array with the scenario. [`guard`] applies the emergency stop,
 //!   and [`tenure`] chooses the epoch and stands by for another controller.
 //! - [`core`]: connects these parts; [`outcome`] has their results.
-//! - [`room_core`]: decodes payloads for the core, and encodes what it publishes.
-//!
-//! # Example
-//!
-//! A caller decodes a report, handles it, polls the command that is due, and sends it.
-//!
-//! ```
-//! use heliostat_core::{
-//!     core::{Controller, Decision, Due, Timing},
-//!     inbox::Message,
-//!     policy::Fixed,
-//! };
-//! use heliostat_proto::{Stamp, UserReport, UserState, decode_into, encode};
-//! use heliostat_scenario::Scenario;
-//!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1"])?;
-//! let policy = Box::new(Fixed::flat(scenario.mirror_count()));
-//! let mut controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-//! controller.warm_up(0..2);
-//!
-//! // In a process the payloads come from the transport, and `now` from a clock.
-//! let mut payloads = Vec::new();
-//! for tick in 1..=3 {
-//!     let stamp = Stamp { source: 7, sequence: tick, time_ns: tick * 10_000_000 };
-//!     let user = UserState { position_m: [1.0, 0.5, 0.85], ..UserState::default() };
-//!     let mut payload = Vec::new();
-//!     encode(&UserReport { stamp, tick, users: vec![user] }, &mut payload)?;
-//!     payloads.push((stamp.time_ns, payload));
-//! }
-//!
-//! let (mut report, mut sent) = (UserReport::default(), Vec::new());
-//! for (now, payload) in &payloads {
-//!     decode_into(&mut report, payload)?;
-//!     let decision = match controller.handle_message(*now, Message::Users(&mut report)) {
-//!         Due::Command => controller.poll_command(*now, Timing::InTime, &mut |_stage| {}),
-//!         Due::StaleCommand => controller.poll_stale_command(*now),
-//!         Due::Nothing => continue,
-//!     };
-//!     if let Decision::Move { command, .. } = decision {
-//!         encode(command, &mut sent)?;
-//!     }
-//! }
-//! assert_eq!(controller.counters().commands, 3);
-//! // No report for two seconds: the action of this scenario is `hold`, no command.
-//! let silent_ns = payloads[2].0 + 2_000_000_000;
-//! assert!(matches!(controller.poll_timeout_command(silent_ns), Some(Decision::Hold(_))));
-//! # Ok(())
-//! # }
-//! ```
+//! - [`room_core`]: decodes payloads for the core, and encodes what it publishes, with an example.
 
 pub mod belief;
 pub mod core;

@@ -27,25 +27,17 @@
 //! use heliostat_core::{
 //!     policy::Fixed,
 //!     refusal::Stream,
-//!     room_core::{Input, InputKey, Output, Publish, RoomCore, RoomSettings},
+//!     room_core::{Input, InputKey, Output, RoomCore, RoomSettings},
 //!     tenure::Tenure,
 //! };
 //! use heliostat_proto::{Stamp, UserReport, UserState, encode};
 //! use heliostat_scenario::Scenario;
 //!
-//! struct Published(Vec<Output>);
-//!
-//! impl Publish for Published {
-//!     fn publish(&mut self, output: Output, _payload: &[u8]) {
-//!         self.0.push(output);
-//!     }
-//! }
-//!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1"])?;
 //! let policy = Box::new(Fixed::flat(scenario.mirror_count()));
 //! let mut room = RoomCore::new(&scenario, policy, RoomSettings::new(9, Tenure::fixed(1)))?;
-//! let mut published = Published(Vec::new());
+//! let mut published: Vec<(Output, Vec<u8>)> = Vec::new();
 //!
 //! let now = 10_000_000;
 //! let user = UserState { position_m: [1.0, 0.5, 0.85], ..UserState::default() };
@@ -54,7 +46,7 @@
 //! encode(&UserReport { stamp, tick: 1, users: vec![user] }, &mut payload)?;
 //! let key = InputKey::Report(Stream::Users.into());
 //! room.advance(now, Input::Payload { key, bytes: &payload }, &mut published);
-//! assert_eq!(published.0[0], Output::Command(0));
+//! assert_eq!(published[0].0, Output::Command(0));
 //! # Ok(())
 //! # }
 //! ```
@@ -76,7 +68,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-pub use input::{Examined, Handled, Input, InputChannel, InputKey, Output, Publish};
+pub use input::{Handled, Input, InputChannel, InputKey, Output, Publish};
 pub use repeater::Repeater;
 pub use undecodable::UndecodableCounts;
 
@@ -170,10 +162,9 @@ pub struct Examination {
 
 impl Examination {
     /// Compares them.
-    pub fn run(self) -> Input<'static> {
-        let Self { array, capabilities, examiner } = self;
-        let verdict = examiner.examine(array, &capabilities);
-        Input::Examined(Examined { array, capabilities, verdict })
+    pub fn run(self: Box<Self>) -> Input<'static> {
+        let verdict = self.examiner.examine(self.array, &self.capabilities);
+        Input::Examined(self, verdict)
     }
 }
 
@@ -225,7 +216,8 @@ impl RoomCore {
                 self.handle_token(now, token, is_alive);
                 Handled::Nothing
             }
-            Input::Examined(Examined { array, capabilities, verdict }) => {
+            Input::Examined(examination, verdict) => {
+                let Examination { array, capabilities, .. } = *examination;
                 if self.controller.handle_capabilities(array, &capabilities, verdict) {
                     self.known[array] = capabilities;
                 }
@@ -311,14 +303,10 @@ impl RoomCore {
         self.drivers.absent(now, &self.controller)
     }
 
-    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced.
-    pub fn lost_drivers(&self) -> impl Iterator<Item = LostDriver> + '_ {
+    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced; of each
+    /// whether another driver served its array then.
+    pub fn lost_drivers(&self) -> impl Iterator<Item = (LostDriver, bool)> + '_ {
         self.drivers.lost()
-    }
-
-    /// Those of them that left while another driver served their array.
-    pub fn lost_beside_others(&self) -> impl Iterator<Item = LostDriver> + '_ {
-        self.drivers.lost_beside_others()
     }
 
     /// Number of trackers and simulators in the room, by their liveliness tokens.

@@ -9,11 +9,7 @@ use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, LogGuard, MetricsArgs, Stop, output};
 
 use crate::{
-    config::{NodeConfig, Pace},
-    machine::MachineArgs,
-    node,
-    report::summary::Summary,
-    room_runtime::transport::LocalArray,
+    config::NodeConfig, machine::MachineArgs, node, report::summary::Summary, room_runtime::transport::LocalArray,
 };
 
 /// The flag of every command that judges the range of mirrors by the floor.
@@ -76,8 +72,8 @@ impl Args {
     /// # Errors
     /// If a flag or the scenario is invalid.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
-        let policy = self.policy.kind();
-        self.policy.actor().check_used_by(policy).context("--model names the file of a learned policy")?;
+        let policy = &self.policy;
+        policy.actor().check_used_by(policy.kind()).context("--model names the file of a learned policy")?;
         let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
         if bus.is_authenticated() && !self.also_room.is_empty() {
             bail!(
@@ -94,10 +90,9 @@ impl Args {
             bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
             times_from_tick: self.times_from_tick,
-            policy,
-            model: self.policy.model.clone(),
+            policy: policy.clone(),
             force: Force { small_range: self.range.accept_small_range, paper_angles: self.force_paper_angles },
-            pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
+            is_lockstep: self.lockstep,
             standby: self.standby,
             run_for: self.end.seconds,
             metrics: self.metrics,

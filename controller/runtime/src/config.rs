@@ -1,24 +1,13 @@
 //! What a controller process needs to start.
 
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
 use heliostat_bus::BusConfig;
-use heliostat_core::{capabilities::Force, policy::PolicyKind};
-use heliostat_models::{ActorSource, BuildError, build};
+use heliostat_core::capabilities::Force;
+use heliostat_models::{BuildError, PolicyArgs, build};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
-
-/// The source of time and epochs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Pace {
-    /// UTC; the first command chooses an epoch above UTC in ms.
-    #[default]
-    Live,
-    /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for
-    /// bit.
-    Lockstep,
-}
 
 /// The configuration of a controller process.
 #[derive(Clone, Debug)]
@@ -31,12 +20,11 @@ pub struct NodeConfig {
     pub also_rooms: Vec<Room>,
     /// The statistics of times begin with the report of this tick.
     pub times_from_tick: u64,
-    /// The policy.
-    pub policy: PolicyKind,
-    /// The actor's file in place of the built-in one.
-    pub model: Option<PathBuf>,
-    /// Live or lockstep.
-    pub pace: Pace,
+    /// The policy, and the file of its actor.
+    pub policy: PolicyArgs,
+    /// Time is that of the reports, and the epoch is 1: the same reports give the same commands, bit for bit. Otherwise
+    /// time is UTC, and the first command chooses an epoch above UTC in ms.
+    pub is_lockstep: bool,
     /// Stand by from the start, with this rank or the rank by source ids.
     pub standby: Option<Option<u8>>,
     /// Mismatches between array and scenario that the operator accepts.
@@ -48,18 +36,13 @@ pub struct NodeConfig {
 }
 
 impl NodeConfig {
-    /// Where the actor of the policy comes from.
-    pub fn actor(&self) -> ActorSource {
-        self.model.clone().into()
-    }
-
     /// Checks that the policy can be built from the file of its actor, if one is given.
     ///
     /// # Errors
     /// The file is missing, or does not fit the policy or the room.
     pub fn check_model(&self) -> Result<(), BuildError> {
-        match &self.model {
-            Some(_) => build(self.policy, &self.scenario, &self.actor()).map(drop),
+        match &self.policy.model {
+            Some(_) => build(self.policy.kind(), &self.scenario, &self.policy.actor()).map(drop),
             None => Ok(()),
         }
     }

@@ -97,11 +97,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_request_gives_no_result() {
-        assert!(MachineArgs::default().obtain().is_empty());
-    }
-
-    #[test]
     fn a_missing_processor_is_reported_and_the_controller_continues() {
         let requests = MachineArgs { pin: vec![1 << 20], ..MachineArgs::default() };
         let results = requests.obtain();

@@ -49,7 +49,7 @@ use heliostat_service::{
 };
 
 use crate::{
-    config::{NodeConfig, Pace},
+    config::NodeConfig,
     report::{
         stage_times::{PolicyTimes, StageTimes},
         summary::{RoomReport, Summary},
@@ -107,21 +107,16 @@ impl RoomRuntime {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
         let source = source_id::random();
-        let (tenure, class) = match config.pace {
-            Pace::Live => {
-                let tenure = Tenure::live(source, scenario.streams.positions.interval_ns());
-                let tenure = match config.standby {
-                    Some(rank) => tenure.in_reserve(rank),
-                    None => tenure,
-                };
-                (tenure, Class::RealTimeDrop)
-            }
+        let is_lockstep = config.is_lockstep;
+        let live = || Tenure::live(source, scenario.streams.positions.interval_ns());
+        let (tenure, class) = match config.standby {
             // The room waits for each command, so a dropped command would stop it.
-            Pace::Lockstep => (Tenure::lockstep(1), Class::RealTimeBlock),
+            _ if is_lockstep => (Tenure::lockstep(1), Class::RealTimeBlock),
+            Some(rank) => (live().in_reserve(rank), Class::RealTimeDrop),
+            None => (live(), Class::RealTimeDrop),
         };
-        let actor = config.actor();
-        let (policy, findings) = build_tried(config.policy, scenario, &actor).map_err(exit::unusable)?;
-        let is_lockstep = config.pace == Pace::Lockstep;
+        let (kind, actor) = (config.policy.kind(), config.policy.actor());
+        let (policy, findings) = build_tried(kind, scenario, &actor).map_err(exit::unusable)?;
         let mut core =
             RoomCore::new(scenario, policy, RoomSettings { source, tenure, is_lockstep, force: config.force })?;
         core.warm_up(warm_up_runs());
@@ -143,11 +138,7 @@ impl RoomRuntime {
         };
         let thread = Some(spawn(&room, &handler)?);
         let mut subscriptions = subscriptions::subscribe(bus, &handler)?;
-        let builder = PolicyBuilder {
-            scenario: scenario.clone(),
-            model: scenario.channel_model()?,
-            configured: (config.policy, actor),
-        };
+        let builder = PolicyBuilder { scenario: scenario.clone(), configured: (kind, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         let (peers, statuses) = PeerStatuses::subscribe(bus)?;
         subscriptions.extend([orders, statuses]);

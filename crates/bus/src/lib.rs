@@ -8,6 +8,7 @@
 //! - [`Bus`]: one session in one room.
 //! - [`Publisher`], [`Subscription`], [`Token`], [`Service`]: declarations of a session; dropping
 //!   one withdraws it.
+//! - [`arriving`]: the decoded messages of one key, for a command that waits for some of them.
 //!
 //! # Connections
 //! Two peers exchange messages when one listens at an endpoint and the other connects to it. A peer
@@ -32,6 +33,7 @@
 //! - `HELIOSTAT_ZENOH='key=value;key=value'` overrides settings of Zenoh, for measurements.
 
 mod access;
+pub mod arriving;
 mod bounded_session;
 mod building;
 mod certificate;

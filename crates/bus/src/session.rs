@@ -131,11 +131,6 @@ impl Bus {
         true
     }
 
-    /// Whether any process accepts connections at an endpoint of the configuration.
-    pub fn has_listener(config: &BusConfig) -> bool {
-        Self::find_unanswered(config).is_none()
-    }
-
     /// That no process accepts connections at any endpoint of the configuration, in words.
     pub fn find_unanswered(config: &BusConfig) -> Option<String> {
         unanswered(&config.connect)
@@ -425,9 +420,7 @@ fn open_client(config: &BusConfig) -> Result<zenoh::Session, BusError> {
     let begun = Instant::now();
     while begun.elapsed() < limit {
         for _ in 0..endpoints {
-            if unanswered(&attempt.connect[..1]).is_none()
-                && let Ok(session) = open_session(&attempt)
-            {
+            if let Some(session) = if_answered(&attempt, open_session) {
                 return Ok(session);
             }
             attempt.connect.rotate_left(1);
@@ -435,6 +428,14 @@ fn open_client(config: &BusConfig) -> Result<zenoh::Session, BusError> {
         std::thread::sleep(CONNECTED_EVERY);
     }
     Err(open_error(config, UNREACHED))
+}
+
+/// What `open` opens, where a process accepts connections at the first endpoint: it waits for no process that starts later.
+pub(crate) fn if_answered<T>(config: &BusConfig, open: impl FnOnce(&BusConfig) -> Result<T, BusError>) -> Option<T> {
+    if unanswered(&config.connect[..1]).is_some() {
+        return None;
+    }
+    open(config).ok()
 }
 
 fn open_error(config: &BusConfig, message: &str) -> BusError {

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 
 use crate::config::{BusConfig, Reach, Role};
-use crate::session::Bus;
+use crate::session::{Bus, if_answered};
 
 /// A process that is there accepts a connection within this time.
 pub const ACCEPTS_WITHIN: Duration = Duration::from_millis(1200);
@@ -63,9 +63,8 @@ pub fn join_each(config: &BusConfig, limit: Duration) -> Receiver<(usize, Option
         let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
         let (client, sender) = (client.reaching(Reach::Within(limit)), sender.clone());
         thread::spawn(move || {
-            let bus = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten();
             // The receiver may have ended.
-            let _ = sender.send((index, bus));
+            let _ = sender.send((index, if_answered(&client, Bus::open)));
         });
     }
     opened

@@ -33,7 +33,7 @@ use crate::mirrors::{MIRRORS_MAX, MirrorArray};
 use crate::trig::{Lanes, in_blocks};
 
 /// Largest number of mirror arrays of a room.
-pub const ARRAYS_MAX: usize = 16;
+pub const ARRAYS_MAX: usize = heliostat_proto::MAX_ARRAYS;
 
 /// The mirror arrays of a room, with the position and the array of each mirror.
 #[derive(Clone, Debug, PartialEq)]

@@ -36,8 +36,8 @@ use crate::domain::{finite, not_negative, positive, require};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
 
-/// Largest number of mirrors of an array: the limit of the messages that carry their angles.
-pub const MIRRORS_MAX: usize = 16_384;
+/// Largest number of mirrors of an array.
+pub const MIRRORS_MAX: usize = heliostat_proto::MAX_MIRRORS;
 
 /// The wall that carries the array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

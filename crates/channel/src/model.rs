@@ -14,7 +14,7 @@ use crate::receiver::Receiver;
 use crate::trig::{Lanes, in_blocks};
 
 /// Largest number of LEDs of a room.
-pub const LEDS_MAX: usize = 64;
+pub const LEDS_MAX: usize = heliostat_proto::MAX_LED_GAINS / heliostat_proto::MAX_USERS;
 
 /// The model of the mirror gain.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -14,10 +14,9 @@
 //! assert!((orientation.normal() - Vec3::new(0.5, 0.0, 0.75_f64.sqrt())).norm() < 1e-15);
 //! ```
 
-use crate::geometry::{GeometryError, Vec3};
+use heliostat_proto::LENGTH_TOLERANCE;
 
-/// Largest difference of the length of a quaternion from 1, as in an orientation report of the contract.
-const LENGTH_TOLERANCE: f64 = 1e-3;
+use crate::geometry::{GeometryError, Vec3};
 
 /// A rotation from the upright device to the device as it is held, as a unit quaternion.
 #[derive(Clone, Copy, Debug, PartialEq)]

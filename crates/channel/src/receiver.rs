@@ -21,7 +21,7 @@ use crate::orientation::Orientation;
 use crate::trig::Lanes;
 
 /// Largest number of branches of a receiver.
-pub const BRANCHES_MAX: usize = 16;
+pub const BRANCHES_MAX: usize = heliostat_proto::MAX_BRANCHES;
 
 /// One detector of a receiver.
 #[derive(Clone, Debug, PartialEq)]

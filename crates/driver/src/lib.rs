@@ -3,7 +3,7 @@
 //!
 //! Any hardware for which [`Device`] is implemented can replace the simulated mirrors.
 //!
-//! - [`session`], [`receive_queue`]: what an array publishes and receives; [`arriving`]: the messages of one key.
+//! - [`session`], [`receive_queue`]: what an array publishes and receives.
 //! - [`claim`]: one process for each array.
 //! - [`run`]: the loop of a driver process; [`cli`] is its command line, [`config`] its file.
 //! - [`direct_commands`]: commands of a controller in the same process.
@@ -12,7 +12,6 @@
 //! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk;
 //!   [`stop_record`]: the emergency stop on disk.
 
-pub mod arriving;
 pub mod calibration_store;
 pub mod check;
 pub mod claim;

@@ -11,8 +11,8 @@ use crate::streams::Streams;
 use crate::tables::{ChannelMode, MinRate, ReceiverPreset};
 use crate::user_orientation::UserOrientation;
 
-/// Largest number of users of a room: the limit of the contract.
-pub const USERS_MAX: usize = 64;
+/// Largest number of users of a room.
+pub const USERS_MAX: usize = heliostat_proto::MAX_USERS;
 /// Largest rate of arrivals: 1000 a second.
 const ARRIVALS_PER_MIN_MAX: f64 = 60_000.0;
 /// Mean durations of a stay in s.

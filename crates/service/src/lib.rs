@@ -13,7 +13,7 @@
 //! - [`whole_file`]: files that are complete, or not there.
 //! - [`file_id`]: whether a path still leads to the same file.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
-//! - [`process`]: memory, files and threads of this process, and the name of its machine.
+//! - [`process`]: memory, files and threads of this process, its limit of open files, and the name of its machine.
 //! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
 //! - [`exporter`]: serves the newest page under `/metrics`.
 //! - [`http`]: the HTTP server below the metrics page and the live page, with its limits.

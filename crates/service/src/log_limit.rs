@@ -53,31 +53,29 @@ impl LogLimit {
     }
 }
 
-/// Most lines of a flood of events.
+/// Most events in succession that have a line each.
 pub const EVENTS_MAX: u32 = 100;
 
-/// A flood of events has ended when none has come for so long.
-pub const FLOOD_END: Duration = INTERVAL;
+/// Time after which one further event has a line.
+pub const EVENT_EVERY: Duration = INTERVAL;
 
 /// The lines of events that another process can cause at any rate, such as stops and liveliness tokens.
 #[derive(Clone, Debug, Default)]
 pub struct EventLimit {
-    /// When the last event came, and the number of events since the last flood.
     last: Option<Instant>,
-    events: u32,
+    /// Time since the last event after which none counts any more: each one with a line adds [`EVENT_EVERY`].
+    owed: Duration,
     further: LogLimit,
 }
 
 impl EventLimit {
-    /// The line of an event. After [`EVENTS_MAX`] events of a flood, `further` stands for the others, once in ten
-    /// seconds with their number.
+    /// The line of an event. Of more than [`EVENTS_MAX`] events and one for each [`EVENT_EVERY`], `further` stands for
+    /// the others, once in ten seconds with their number.
     pub fn line(&mut self, now: Instant, event: impl Display, further: &str) -> Option<String> {
-        let last = self.last.replace(now);
-        if last.is_none_or(|last| now.saturating_duration_since(last) >= FLOOD_END) {
-            self.events = 0;
-        }
-        self.events = self.events.saturating_add(1);
-        if self.events <= EVENTS_MAX {
+        let last = self.last.replace(now).unwrap_or(now);
+        self.owed = self.owed.saturating_sub(now.saturating_duration_since(last));
+        if self.owed + EVENT_EVERY <= EVENT_EVERY * EVENTS_MAX {
+            self.owed += EVENT_EVERY;
             return Some(event.to_string());
         }
         self.further.line(now, further, 1)
@@ -127,10 +125,12 @@ mod tests {
                 })
                 .collect()
         };
-        let flood = lines(0, 60);
-        assert_eq!((flood.len(), flood[0].as_str()), (EVENTS_MAX as usize + 6, "stop 0"));
-        assert_eq!(flood[EVENTS_MAX as usize + 1], "further stops (1000 times in 10 s)");
-        assert_eq!(lines(80, 81).len(), EVENTS_MAX as usize, "each one after the flood");
+        let (flood, most) = (lines(0, 60), EVENTS_MAX as usize);
+        assert_eq!((flood.len(), flood[0].as_str()), (most + 5 + 6, "stop 0"));
+        assert_eq!(flood[most..most + 3], ["further stops", "stop 10000", "further stops (999 times in 10 s)"]);
+        let after_pauses = (8..100).map(|burst| lines(11 * burst, 11 * burst + 1).len()).max();
+        assert_eq!(after_pauses, Some(4), "a pause of ten seconds ends no flood");
+        assert_eq!(lines(3000, 3001).len(), most, "each one after a long pause");
     }
 
     #[test]

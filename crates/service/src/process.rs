@@ -1,4 +1,4 @@
-//! What the operating system reports about this process and its machine.
+//! What the operating system reports about this process and its machine, and allows it.
 
 use std::ffi::OsStr;
 
@@ -23,6 +23,37 @@ pub fn usage() -> Option<Usage> {
     // The listing itself is one open file.
     let files = std::fs::read_dir("/proc/self/fd").ok()?.count().saturating_sub(1) as u64;
     Some(Usage { resident_bytes: field("VmRSS:")? * 1024, files, threads: field("Threads:")? })
+}
+
+/// Raises a low limit of open files as far as this user may.
+///
+/// # Errors
+/// Too few files for a session on the bus, whose library would panic, with what to do.
+#[cfg(unix)]
+pub fn allow_files() -> anyhow::Result<()> {
+    use nix::sys::resource::{Resource, getrlimit, rlim_t, setrlimit};
+
+    /// What a process opens at its start: a session with its threads, a page and a log.
+    const LEAST: rlim_t = 64;
+    /// Enough for the connections of a page and of a room with many processes.
+    const WANTED: rlim_t = 4096;
+
+    let files = Resource::RLIMIT_NOFILE;
+    let Ok((soft, hard)) = getrlimit(files) else { return Ok(()) };
+    let wanted = hard.min(WANTED);
+    let is_raised = soft < wanted && setrlimit(files, wanted, hard).is_ok();
+    let allowed = if is_raised { wanted } else { soft };
+    anyhow::ensure!(
+        allowed >= LEAST,
+        "{allowed} open files are allowed: expected at least {LEAST}; raise the limit, for example by ulimit -n {WANTED}"
+    );
+    Ok(())
+}
+
+/// Nothing limits the open files.
+#[cfg(not(unix))]
+pub fn allow_files() -> anyhow::Result<()> {
+    Ok(())
 }
 
 /// The name of this machine; `None` if it has none that is text.

@@ -26,6 +26,8 @@ mod restarts;
 mod running_recordings;
 mod safety;
 mod security;
+#[path = "../../../crates/driver/tests/driver/servo_board.rs"]
+mod servo_board;
 mod stops;
 mod terminal;
 mod trackers;

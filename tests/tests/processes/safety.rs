@@ -1,8 +1,6 @@
 //! The emergency stop, the bounds on messages and a restart, across processes.
 
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
-use std::net::TcpListener;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -15,38 +13,7 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
-/// A servo board of one mirror on a socket, and the lines that it received.
-fn board() -> (String, Arc<Mutex<Vec<String>>>) {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let address = listener.local_addr().expect("an address").to_string();
-    let log = Arc::new(Mutex::new(Vec::new()));
-    let lines = Arc::clone(&log);
-    std::thread::spawn(move || {
-        for stream in listener.incoming().map_while(Result::ok) {
-            let mut out = stream.try_clone().expect("a socket");
-            let (mut at, mut is_greeted) = ("0 0".to_owned(), false);
-            for line in BufReader::new(stream).lines().map_while(Result::ok) {
-                let answer = match line.split_once(' ').map_or((line.as_str(), ""), |parts| parts) {
-                    ("hello", _) => "heliostat 1 1 -523599 523599 1".to_owned(),
-                    ("set", angles) => {
-                        at = angles.to_owned();
-                        "ok".to_owned()
-                    }
-                    ("get", _) => format!("at {at}"),
-                    ("stop", _) => "ok".to_owned(),
-                    _ => "error unknown".to_owned(),
-                };
-                // The driver asks an idle board with the same line.
-                if line != "hello" || !std::mem::replace(&mut is_greeted, true) {
-                    lines.lock().expect("no test panics").push(line);
-                }
-                // One write, so that the answer is not delayed; the driver may have been killed.
-                out.write_all(format!("{answer}\n").as_bytes()).ok();
-            }
-        }
-    });
-    (address, log)
-}
+use crate::servo_board::servo_board;
 
 /// A room in a test: its observer, and a real driver of one emulated mirror.
 struct DrivenRoom {
@@ -60,7 +27,7 @@ struct DrivenRoom {
 impl DrivenRoom {
     fn new(room: &str) -> Self {
         let endpoint = private_endpoint().expect("an endpoint");
-        let (address, lines) = board();
+        let (address, lines) = servo_board(1, usize::MAX);
         let folder = tempfile::tempdir().expect("a folder");
         let config = format!(
             "rows = 1\ncolumns = 1\ncalibration_reserve_deg = 10.0\n[[boards]]\nkind = \"servo-board\"\n\

@@ -13,10 +13,10 @@ use heliostat_tests::workspace;
 const LAYERS: [&str; 26] = [
     "tokio-rustls",
     "heliostat-needs",
+    "heliostat-proto",
     "heliostat-channel",
     "heliostat-files",
     "heliostat-scenario",
-    "heliostat-proto",
     "heliostat-onnx",
     "heliostat-array",
     "heliostat-core",

@@ -41,184 +41,159 @@ impl fmt::Display for Condition {
 /// The methods that do not apply to a valid scenario.
 pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     let mut found: Vec<Condition> = small_range(scenario, model).into_iter().chain(unused_keys(scenario)).collect();
-    let mut add = |applies: bool, method: &str, because: String, consequence: &str| {
-        if !applies {
-            found.push(Condition { method: method.into(), because, consequence: consequence.into() });
-        }
+    let mut add = |method: &str, because: Option<String>, consequence: &str| {
+        let of = |because| Condition { method: method.into(), because, consequence: consequence.into() };
+        found.extend(because.map(of));
     };
     let (streams, age_max_ms) = (&scenario.streams, scenario.control.report_age_max_ms);
     let positions_ms = streams.positions.latency_ms;
+    let too_late =
+        || format!("streams.positions.latency_ms = {positions_ms}, above control.report_age_max_ms = {age_max_ms}");
     add(
-        positions_ms <= age_max_ms,
         "any decision",
-        format!("streams.positions.latency_ms = {positions_ms}, above control.report_age_max_ms = {age_max_ms}"),
+        (positions_ms > age_max_ms).then(too_late),
         "every position report is too old and no command is sent; raise control.report_age_max_ms",
     );
-    let because = ages::gap_between_readings(scenario);
     add(
-        because.is_none(),
         "the use of measured gains in each decision",
-        because.unwrap_or_default(),
+        ages::gap_between_readings(scenario),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
     );
-    let because = ages::refused_orientations(scenario);
     add(
-        because.is_none(),
         "the use of reported orientations",
-        because.unwrap_or_default(),
+        ages::refused_orientations(scenario),
         "every report is too old and refused, so receivers are held as if none were reported; lower the latency, or raise control.report_age_max_ms",
     );
-    let because = ages::gap_between_orientations(scenario);
     add(
-        because.is_none(),
         "the use of reported orientations in each decision",
-        because.unwrap_or_default(),
+        ages::gap_between_orientations(scenario),
         "decisions between take receivers as if no orientation were reported; set control.belief to \"filter\", raise control.report_age_max_ms, or the rate",
     );
-    let because = ages::gap_between_commands(scenario);
     add(
-        because.is_none(),
         "a valid command until the next one",
-        because.unwrap_or_default(),
+        ages::gap_between_commands(scenario),
         "the array holds the angles of an expired command for the driver's park_after_ms, then parks until the next report; raise control.validity_ms above the time between two reports that arrive",
     );
     let (mismatch, users) = (&scenario.mismatch, &scenario.users);
+    let level = || format!("mismatch.level = \"{}\"", mismatch.level.name());
     add(
-        mismatch.level == MismatchLevel::None,
         "the channel model of belief and policies",
-        format!("mismatch.level = \"{}\"", mismatch.level.name()),
+        (mismatch.level != MismatchLevel::None).then(level),
         "they assume the nominal room, and the oracle knows the true one, so ratios are lower; calibrate the mirrors",
     );
     let unknown = mismatch.unknown_leds_m.len();
     let (leds, light) = if unknown == 1 { ("LED", "its light") } else { ("LEDs", "their light") };
     add(
-        unknown == 0,
         "the channel model of belief and policies",
-        format!("mismatch.unknown_leds_m has {unknown} {leds} that the controller does not know"),
+        (unknown > 0)
+            .then(|| format!("mismatch.unknown_leds_m has {unknown} {leds} that the controller does not know")),
         &format!("{light} counts as another heading or LED, so ratios are lower; name each LED in led.positions_m"),
     );
     if let Some((because, consequence)) = upright::counted_upright(scenario, model) {
-        add(false, "the orientation of receivers that users hold", because, consequence);
+        add("the orientation of receivers that users hold", Some(because), consequence);
     }
-    let because = upright::counted_tilted(scenario);
     add(
-        because.is_none(),
         "the assumed tilt of receivers that users hold",
-        because.unwrap_or_default(),
+        upright::counted_tilted(scenario),
         "expected gains are those of tilted receivers, so ratios are lower; describe the receivers by users.orientation, or set both angles of control.tilt to 0",
     );
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
-        add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
+        add("the filter", Some(because), "headings, tilts and obstacles are not inferred; set it to \"filter\"");
         return found;
     }
+    let forced = scenario.blockage.forced_users;
     add(
-        scenario.blockage.forced_users == 0,
         "the cause of a blocked path",
-        format!("blockage.forced_users = {}", scenario.blockage.forced_users),
+        (forced > 0).then(|| format!("blockage.forced_users = {forced}")),
         "no body or obstacle blocks a forced path, so the gains show headings and obstacles that do not exist, above all with several LEDs; block paths by blockage.bodies and blockage.obstacles_per_m2",
     );
     let is_reported = ages::accepted_orientations(scenario).is_some();
     add(
-        scenario.blockage.bodies || is_reported,
         "the heading of a standing user by measured gains",
-        "blockage.bodies = false".to_owned(),
+        (!scenario.blockage.bodies && !is_reported).then(|| "blockage.bodies = false".to_owned()),
         "the gains show neither headings nor tilted receivers; report orientations",
     );
     add(
-        tilt::is_single_open_detector(model) || is_reported,
         "the tilt of a receiver by measured gains",
-        format!("receiver: {}", receiver(model)),
+        (!tilt::is_single_open_detector(model) && !is_reported).then(|| format!("receiver: {}", receiver(model))),
         "an expected gain is that at the mean heading; report orientations, or use one detector that faces up with a field of view of 90 degrees",
     );
     let held = if is_reported { Vec::new() } else { users.orientations() };
     let tilted = || held.iter().filter_map(|(key, held)| Some((key.as_str(), (*held)?)));
     let upright = held.iter().find(|(_, held)| held.is_none()).map(|(key, _)| key);
-    let because = upright.zip(tilted().next()).map(|(upright, (tilted, _))| {
-        format!("receivers of some users face up ({upright}), and others are tilted ({tilted})")
-    });
     add(
-        because.is_none(),
         "one tilt for the receivers of all users",
-        because.unwrap_or_default(),
+        upright.zip(tilted().next()).map(|(upright, (tilted, _))| {
+            format!("receivers of some users face up ({upright}), and others are tilted ({tilted})")
+        }),
         "all receivers count as tilted or all as facing up, so expected gains of some users are wrong; report orientations",
     );
     let assumed = scenario.control.tilt.unwrap_or_default();
-    let because = tilted().find_map(|(key, held)| differing_mean(key, held, &assumed));
     add(
-        because.is_none(),
         "the assumed tilt of receivers that users hold",
-        because.unwrap_or_default(),
+        tilted().find_map(|(key, held)| differing_mean(key, held, &assumed)),
         "expected gains are those at the assumed tilt, so ratios are lower; set both angles of control.tilt to those of the users",
     );
-    let because = tilted().find_map(|(key, held)| wider_spread(key, held));
     add(
-        because.is_none(),
         "the assumed spread of the angles of receivers that users hold",
-        because.unwrap_or_default(),
+        tilted().find_map(|(key, held)| wider_spread(key, held)),
         "expected gains and headings count as more certain than they are, so ratios are lower; report orientations",
     );
-    let noise = scenario.streams.channel.noise_relative;
+    let (channel, direct) = (&streams.channel, largest_direct_gain(scenario, model));
+    let noise = channel.noise_relative;
     add(
-        noise <= SPREAD_OF_DIRECT,
         "the likelihood of measured direct gains",
-        format!("streams.channel.noise_relative = {noise}, above {SPREAD_OF_DIRECT}"),
+        (noise > SPREAD_OF_DIRECT)
+            .then(|| format!("streams.channel.noise_relative = {noise}, above {SPREAD_OF_DIRECT}")),
         "gains count as more exact than they are, so serving LEDs and headings can be wrong; average several readings for a report",
     );
-    let (channel, direct) = (&streams.channel, largest_direct_gain(scenario, model));
-    let is_fine = |gain: f64| direct == 0.0 || gain <= SPREAD_OF_DIRECT * direct;
+    let is_coarse = |gain: f64| direct != 0.0 && gain > SPREAD_OF_DIRECT * direct;
     let above = format!("above {SPREAD_OF_DIRECT} of the direct gain below an LED, {direct:.1e}");
+    let (noise_gain, bits, full_scale) = (channel.noise_gain, channel.resolution_bits, channel.full_scale_gain);
     add(
-        is_fine(channel.noise_gain),
         "the evidence of measured gains",
-        format!("streams.channel.noise_gain = {:e}, {above}", channel.noise_gain),
+        is_coarse(noise_gain).then(|| format!("streams.channel.noise_gain = {noise_gain:e}, {above}")),
         "paths within the noise count as blocked, and the others show little of headings and obstacles; average several readings for a report",
     );
-    add(
-        is_fine(channel.step_gain()),
-        "the evidence of measured gains",
+    let step = channel.step_gain();
+    let steps = || {
         format!(
-            "streams.channel.resolution_bits = {} and full_scale_gain = {:e} make steps of {:.1e}, {above}",
-            channel.resolution_bits,
-            channel.full_scale_gain,
-            channel.step_gain()
-        ),
+            "streams.channel.resolution_bits = {bits} and full_scale_gain = {full_scale:e} make steps of {step:.1e}, {above}"
+        )
+    };
+    add(
+        "the evidence of measured gains",
+        is_coarse(step).then(steps),
         "gains below half a step count as blocked, and the others show little of headings and obstacles; raise resolution_bits, or lower full_scale_gain",
     );
+    let below = || {
+        format!("streams.channel.full_scale_gain = {full_scale:e}, below the direct gain below an LED, {direct:.1e}")
+    };
     add(
-        channel.resolution_bits == 0 || channel.full_scale_gain >= direct,
         "the evidence of measured gains",
-        format!(
-            "streams.channel.full_scale_gain = {:e}, below the direct gain below an LED, {direct:.1e}",
-            channel.full_scale_gain
-        ),
+        (bits > 0 && full_scale < direct).then(below),
         "receivers near an LED report full_scale_gain, so headings and serving LEDs can be wrong; raise full_scale_gain",
     );
-    let because = walks::late_heading(scenario);
     add(
-        because.is_none(),
         "the heading of a user by the direction of the walk",
-        because.unwrap_or_default(),
+        walks::late_heading(scenario),
         "on curves bodies and tilted receivers are elsewhere than the belief takes for certain; lower the lag, or the latency",
     );
-    let because = walks::too_fast(scenario);
     add(
-        because.is_none(),
         "the assumed speed of walks",
-        because.unwrap_or_default(),
+        walks::too_fast(scenario),
         "the belief follows turns late, or takes a fast user for another one; raise control.walk.speed_m_s to the speed in the room",
     );
-    let because = walks::too_far_ahead(scenario);
     add(
-        because.is_none(),
         "the prediction of walks until a command acts",
-        because.unwrap_or_default(),
+        walks::too_far_ahead(scenario),
         "the ellipses of the belief are too small, and light misses users who stop or turn; raise the rate of the reports, or lower their latency",
     );
+    let varies = walks::models(users).any(|model| model == MobilityModel::GaussMarkov);
     add(
-        !walks::models(users).any(|model| model == MobilityModel::GaussMarkov),
         "the hypotheses about walks",
-        "users.mobility = \"gauss-markov\"".to_owned(),
+        varies.then(|| "users.mobility = \"gauss-markov\"".to_owned()),
         "speed and direction change at every report, and the ellipses of the belief are too small",
     );
     found

@@ -19,20 +19,6 @@ use serde::{Deserialize, Serialize};
 /// A point or a velocity in the floor plane: x + iy, in m or m/s.
 pub(super) type Plane = Complex<f64>;
 
-/// A [`Plane`] as a pair of numbers, for serde.
-mod plane {
-    use num_complex::Complex;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub fn serialize<S: Serializer>(plane: &Complex<f64>, serializer: S) -> Result<S::Ok, S::Error> {
-        (plane.re, plane.im).serialize(serializer)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Complex<f64>, D::Error> {
-        <(f64, f64)>::deserialize(deserializer).map(|(re, im)| Complex::new(re, im))
-    }
-}
-
 /// Below this turn rate in rad/s a path is straight.
 const STRAIGHT_RAD_S: f64 = 1e-6;
 
@@ -43,14 +29,11 @@ const WANDER_M2_S3: f64 = 0.4;
 /// Means and variances of position and velocity. Variances are those of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
-    #[serde(with = "plane")]
     pub position: Plane,
-    #[serde(with = "plane")]
     pub velocity: Plane,
     /// Variance of the position in m2.
     pub position_var: f64,
     /// Half the mean of the position's error times the conjugate of the velocity's, in m2/s.
-    #[serde(with = "plane")]
     pub cross: Plane,
     /// Variance of the velocity in m2/s2.
     pub velocity_var: f64,

@@ -5,19 +5,14 @@ use heliostat_proto::{ControllerInput, InputKind, MAX_INPUTS, Nanos, Stamp};
 
 use crate::input::refusal::Stream;
 
-/// Inputs since they were last taken. Does not allocate after its creation.
-#[derive(Clone)]
+/// Inputs since they were last taken; by default none is kept. Does not allocate after its creation.
+#[derive(Clone, Default)]
 pub(super) struct Journal {
     inputs: Vec<ControllerInput>,
     is_complete: bool,
 }
 
 impl Journal {
-    /// A journal that keeps nothing.
-    pub fn disabled() -> Self {
-        Self { inputs: Vec::new(), is_complete: false }
-    }
-
     /// A journal of at most [`MAX_INPUTS`] inputs.
     pub fn enabled() -> Self {
         Self { inputs: Vec::with_capacity(MAX_INPUTS), is_complete: true }

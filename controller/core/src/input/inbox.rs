@@ -30,7 +30,7 @@ use heliostat_proto::{
 use heliostat_scenario::Scenario;
 
 use crate::input::{
-    refusal::{Checked, LeftOut, Refusal, Refused, Stream},
+    refusal::{Checked, Found, LeftOut, Refusal, Refused, Stream},
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
@@ -107,7 +107,6 @@ impl Inbox {
                 self.renew_owner(now, (stream, array), stamp.source);
                 self.keep(message);
             }
-            Err((Refusal::ForeignSource, _)) => self.refused.count_foreign((stream, array), stamp.source),
             Err((refusal, found)) => {
                 if array < self.state.arrays.len() {
                     self.track_mut(stream, array).on_refused(&stamp);
@@ -266,18 +265,18 @@ impl Inbox {
         }
     }
 
-    fn check_source(&self, now: Nanos, (stream, array): (Stream, usize), source: u64) -> Result<(), Refusal> {
+    fn check_source(&self, now: Nanos, (stream, array): (Stream, usize), source: u64) -> Checked {
         let (owner, lost) = match stream {
             Stream::Telemetry => (self.state.arrays[array].owner, self.state.arrays[array].lost),
             _ => (self.state.room, self.state.lost_room),
         };
         if lost == Some(source) {
-            return Err(Refusal::SourceGone);
+            return Err(Refusal::SourceGone.into());
         }
         // A clock that steps back must not extend the ownership.
         let is_alive = |owner: &Owner| now.abs_diff(owner.last_report_ns) <= self.rules.source_timeout_ns;
         match owner.filter(is_alive) {
-            Some(owner) if owner.source != source => Err(Refusal::ForeignSource),
+            Some(owner) if owner.source != source => Err((Refusal::ForeignSource, Found::Source(source))),
             _ => Ok(()),
         }
     }

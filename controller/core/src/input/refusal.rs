@@ -83,12 +83,6 @@ impl From<&CodecError> for Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
 /// The last message that was refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LastRefusal {
@@ -112,6 +106,8 @@ pub enum Found {
     Sizes(TelemetrySizes),
     /// How much older than the clock of this machine the sample is, in s; negative for one from the future.
     AgeS(f64),
+    /// A source that does not own the room or the array.
+    Source(u64),
     /// A user with an impossible position or value.
     User(LeftOut),
     /// A user with two entries.
@@ -184,7 +180,6 @@ pub struct TelemetrySizes {
 pub struct Refused {
     counts: [[u64; Refusal::ALL.len()]; Stream::ALL.len()],
     last: Option<LastRefusal>,
-    last_foreign_source: Option<u64>,
     left_out: u64,
     last_left_out: Option<LeftOut>,
 }
@@ -238,12 +233,6 @@ impl Refused {
         self.last_left_out
     }
 
-    /// Counts a report of a source that does not own the room, and keeps its id.
-    pub(crate) fn count_foreign(&mut self, place: (Stream, usize), source: u64) {
-        self.count(place, Refusal::ForeignSource);
-        self.last_foreign_source = Some(source);
-    }
-
     /// How often messages of the stream were refused for this reason.
     pub fn get(&self, stream: Stream, refusal: Refusal) -> u64 {
         self.counts[stream as usize][refusal as usize]
@@ -257,11 +246,6 @@ impl Refused {
     /// The last refusal.
     pub fn last(&self) -> Option<LastRefusal> {
         self.last
-    }
-
-    /// The last source that was refused because another owns the room.
-    pub fn last_foreign_source(&self) -> Option<u64> {
-        self.last_foreign_source
     }
 
     /// Every counter that is not zero, as "stream:reason".
@@ -284,9 +268,9 @@ mod tests {
         let mut refused = Refused::default();
         refused.count((Stream::Channel, 0), Refusal::Stale);
         refused.count((Stream::Channel, 0), Refusal::Stale);
-        refused.count_foreign((Stream::Users, 0), 7);
+        refused.count_found((Stream::Users, 0), Refusal::ForeignSource, Found::Source(7));
         let named: Vec<_> = refused.named().collect();
         assert_eq!(named, [("users:foreign-source".into(), 1), ("channel:stale".into(), 2)]);
-        assert_eq!(refused.last_foreign_source(), Some(7));
+        assert_eq!(refused.last().map(|last| last.found), Some(Found::Source(7)));
     }
 }

@@ -132,36 +132,6 @@ mod tests {
     const MS: Nanos = 1_000_000;
     const S: Nanos = 1000 * MS;
 
-    fn order(action: StopAction) -> EmergencyStop {
-        EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, action, ..EmergencyStop::default() }
-    }
-
-    #[test]
-    fn a_stopped_array_receives_no_commands_until_it_has_reported_and_dropped_the_stop() {
-        let mut guard = Guard::new(Tenure::fixed(7), 200);
-        let mut counters = Counters::default();
-        let mut permit =
-            |guard: &mut Guard, telemetry: Option<&MirrorTelemetry>| guard.permit((S, true), telemetry, &mut counters);
-        assert_eq!(permit(&mut guard, None), Ok(7));
-        guard.stops.order(10, &order(StopAction::Stop));
-        guard.stops.order(11, &order(StopAction::Rearm));
-        assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld), "the array has not released it");
-        let safety = |sequence, stopped| SafetyReport {
-            stamp: Stamp { source: 9, sequence, time_ns: 0 },
-            stopped,
-            stop_source: 3,
-            stop_sequence: 4,
-            ..SafetyReport::default()
-        };
-        guard.handle_safety(&safety(1, false));
-        assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld), "the array does not know of it");
-        guard.handle_safety(&safety(2, true));
-        guard.handle_safety(&safety(3, false));
-        assert_eq!(permit(&mut guard, None), Ok(7));
-        let stopped = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
-        assert_eq!(permit(&mut guard, Some(&stopped)), Err(DegradedMode::Withheld));
-    }
-
     #[test]
     fn a_stop_is_no_loss_of_the_link_of_a_standby() {
         let mut guard = Guard::new(Tenure::live(600, 10 * MS), 200);

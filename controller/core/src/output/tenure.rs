@@ -107,18 +107,19 @@ const PEERS_MAX: usize = 16;
 pub const RANK_MAX: u8 = 4;
 
 /// Whether the controller commands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Standing {
     /// No command was due so far.
     Waiting,
     /// Commands are sent.
+    #[default]
     Leading,
     /// Commands are withheld: the array follows another controller.
     Standby,
 }
 
-/// The epoch of one controller.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+/// The epoch of one controller; by default a fixed one.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Tenure {
     rule: Rule,
     standing: Standing,
@@ -153,26 +154,7 @@ pub struct Tenure {
 impl Tenure {
     /// One epoch, independently of telemetry: for replay and evaluation.
     pub fn fixed(epoch: u64) -> Self {
-        Self {
-            rule: Rule::Fixed,
-            standing: Standing::Leading,
-            rank: None,
-            is_reserve: false,
-            peers: Vec::new(),
-            watch: Watch::default(),
-            guest: Guest::default(),
-            contest: Contest::default(),
-            numbers: Numbers::of(epoch),
-            seen: None,
-            delay: Delay::default(),
-            shown_ns: 0,
-            report_delay: Delay::default(),
-            asked_ns: None,
-            announced: 0,
-            unaccepted: None,
-            attempts: 0,
-            is_new: false,
-        }
+        Self { numbers: Numbers::of(epoch), ..Self::default() }
     }
 
     /// One epoch, for a room in lockstep: stands by while the array follows another sender.

@@ -174,11 +174,6 @@ impl ActorInfo {
         self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
     }
 
-    /// The encoder of the observation vector, for an array of this size.
-    pub fn encoder(&self, mirrors: usize) -> ObservationEncoder {
-        ObservationEncoder::new(self.users_max, mirrors)
-    }
-
     /// The layout of the observation vector that describes a room to this actor.
     pub fn vector_encoder(&self, mirrors: usize) -> ObservationEncoder {
         let is_any = self.observation.fits_any_array();

@@ -108,14 +108,10 @@ impl Drivers {
         }
     }
 
-    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced.
-    pub fn lost(&self) -> impl Iterator<Item = LostDriver> + '_ {
-        self.lost.iter().map(|lost| lost.driver)
-    }
-
-    /// Those of them that left while another driver served their array.
-    pub fn lost_beside_others(&self) -> impl Iterator<Item = LostDriver> + '_ {
-        self.lost.iter().filter(|lost| lost.had_other).map(|lost| lost.driver)
+    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced; of each
+    /// whether another driver served its array then.
+    pub fn lost(&self) -> impl Iterator<Item = (LostDriver, bool)> + '_ {
+        self.lost.iter().map(|lost| (lost.driver, lost.had_other))
     }
 
     /// The arrays without a driver that receives the commands of a controller, by index. A controller expects one once
@@ -167,33 +163,22 @@ mod tests {
     }
 
     #[test]
-    fn a_driver_drives_its_array_and_a_simulator_every_one() {
-        let room = Room::new("lab").expect("a valid name");
-        let of = |key: String| parse_array_alive(&key).into_iter().collect::<BTreeSet<Token>>();
-        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens.iter(), array));
-        assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
-        assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
-        assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
-        assert_eq!(driven(&of(room.alive(NodeKind::Viewer, 7))), [false; 3]);
-    }
-
-    #[test]
     fn a_driver_that_has_left_is_lost_until_it_returns_is_replaced_or_a_stop_is_released() {
         let room = Room::new("lab").expect("a valid name");
         let mut drivers = Drivers::new(2);
         let token = |source| room.array(1).driver_alive(source);
-        let lost = |drivers: &Drivers| drivers.lost().map(|lost| (lost.array, lost.source)).collect::<Vec<_>>();
+        let lost = |drivers: &Drivers| drivers.lost().map(|(lost, _)| (lost.array, lost.source)).collect::<Vec<_>>();
         drivers.handle_token(1, &token(7), true);
         drivers.handle_token(2, &token(7), false);
-        assert_eq!(drivers.lost().collect::<Vec<_>>(), [LostDriver { array: 1, source: 7, since_ns: 2 }]);
-        assert_eq!(drivers.lost_beside_others().count(), 0, "it was the only one");
+        let only = (LostDriver { array: 1, source: 7, since_ns: 2 }, false);
+        assert_eq!(drivers.lost().collect::<Vec<_>>(), [only], "it was the only one");
         drivers.handle_token(3, &token(8), true);
         assert_eq!(lost(&drivers), [], "it has the mirrors of the only one");
         drivers.handle_token(4, &token(7), true);
         drivers.handle_token(5, &token(8), false);
         drivers.handle_token(6, &token(9), true);
         assert_eq!(lost(&drivers), [(1, 8)], "the new one may be a third one");
-        assert_eq!(drivers.lost_beside_others().count(), 1);
+        assert!(drivers.lost().all(|(_, had_other)| had_other));
         drivers.handle_token(7, &token(8), true);
         assert_eq!(lost(&drivers), [], "it is back");
         drivers.handle_token(8, &token(8), false);
@@ -209,7 +194,7 @@ mod tests {
         (20..99).for_each(|source| {
             [true, false].iter().for_each(|is_alive| drivers.handle_token(11, &token(source), *is_alive))
         });
-        assert_eq!((drivers.lost().count(), drivers.lost().last().map(|lost| lost.source)), (LOST_MAX, Some(98)));
+        assert_eq!((drivers.lost().count(), drivers.lost().last().map(|(lost, _)| lost.source)), (LOST_MAX, Some(98)));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What a room's core receives and publishes, and the keys of both.
 
-use heliostat_proto::{Capabilities, Message, NodeKind, Room, encode};
+use heliostat_proto::{Message, NodeKind, Room, encode};
 
 use super::Examination;
 use crate::{input::refusal::Stream, output::capabilities::Unfit, policy::Policy};
@@ -97,7 +97,7 @@ pub enum Input<'a> {
         is_alive: bool,
     },
     /// The result of an [`Examination`].
-    Examined(Examined),
+    Examined(Box<Examination>, Result<(), Unfit>),
     /// A policy after its start-up warm-up, which replaces the present one.
     Policy(Box<dyn Policy>),
     /// [`WAKE_INTERVAL_NS`](super::WAKE_INTERVAL_NS) has passed since the last one.
@@ -114,13 +114,6 @@ pub enum Handled {
     Examination(Box<Examination>),
     /// The former policy, whose end may take long.
     Replaced(Box<dyn Policy>),
-}
-
-/// Capabilities of an array with their verdict.
-pub struct Examined {
-    pub(super) array: usize,
-    pub(super) capabilities: Capabilities,
-    pub(super) verdict: Result<(), Unfit>,
 }
 
 /// The key of a payload that a room's core publishes.

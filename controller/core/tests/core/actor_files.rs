@@ -229,7 +229,7 @@ fn outputs_for_fixed_inputs_are_compared_with_those_of_the_trainer() {
     let findings = load_actor(&fitting().file(), &scenario).unwrap().try_out(&scenario, || 0);
     assert!(format!("{findings:?}").contains("not verified"), "{findings:?}");
     let error = check(["0.25", "0.25", "0.2502", "0.25"]).expect_err("another output");
-    assert_contains(&error, &["output 0", "fixed input 2", "0.25 on the engine bias", "0.2502", key::CHECK]);
+    assert_contains(&error, &["output 0", "fixed input 2", "0.25 on the engine dense", "0.2502", key::CHECK]);
     assert!(check(["nan", "0.25", "0.25", "0.25"]).is_err() && check(["0.25 0.25", "", "", ""]).is_err());
 }
 

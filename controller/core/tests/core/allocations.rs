@@ -4,14 +4,16 @@ use allocation_counter::measure;
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::{
-    core::{Controller, Decision, DegradedMode},
-    inbox::Message,
-    policy::PolicyKind,
+    core::{DegradedMode, Timing},
+    policy::{Policy, PolicyKind},
+    refusal::Stream,
+    room_core::{Input, InputKey, Output, Publish, RoomCore, RoomSettings},
+    tenure::Tenure,
 };
-use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, OrientationReport, UserReport, decode_into, encode};
+use heliostat_proto::{Obstacle, encode};
 use heliostat_scenario::Scenario;
 
-use crate::support::{Room, build, controller, scenario};
+use crate::support::{Room, build, scenario};
 
 fn large() -> Scenario {
     scenario(&["mirrors.rows=10", "mirrors.columns=10", "control.slew_deg_per_s=6000"])
@@ -38,38 +40,34 @@ fn payloads() -> Vec<Payloads> {
     (1..=60).map(|tick| encoded(&mut room, tick, vec![pillar; 3], &[0, 1, 2], &[2, 0])).collect()
 }
 
-/// What is reused from tick to tick at the edge.
-#[derive(Default)]
-struct Scratch {
-    obstacles: ObstacleReport,
-    orientation: OrientationReport,
-    channel: ChannelReport,
-    users: UserReport,
-    payload: Vec<u8>,
-}
+/// Counts the commands.
+struct Commands(u64);
 
-fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, held, gains, users]: &Payloads) {
-    let now = Room::time(tick);
-    decode_into(&mut scratch.obstacles, survey).unwrap();
-    controller.handle_and_poll(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
-    decode_into(&mut scratch.orientation, held).unwrap();
-    controller.handle_and_poll(now, Message::Orientation(&mut scratch.orientation), &mut |_| {});
-    decode_into(&mut scratch.channel, gains).unwrap();
-    controller.handle_and_poll(now, Message::Channel(&mut scratch.channel), &mut |_| {});
-    decode_into(&mut scratch.users, users).unwrap();
-    match controller.handle_and_poll(now, Message::Users(&mut scratch.users), &mut |_| {}) {
-        Some(Decision::Move { command, .. }) => encode(command, &mut scratch.payload).unwrap(),
-        other => panic!("expected a command, got {other:?}"),
+impl Publish for Commands {
+    fn publish(&mut self, output: Output, _payload: &[u8]) {
+        self.0 += u64::from(matches!(output, Output::Command(_)));
     }
 }
 
+fn core(scenario: &Scenario, policy: Box<dyn Policy>) -> RoomCore {
+    RoomCore::new(scenario, policy, RoomSettings::new(3, Tenure::fixed(7))).unwrap()
+}
+
+fn tick(core: &mut RoomCore, tick: u64, payloads: &Payloads) {
+    let (now, mut commands) = (Room::time(tick), Commands(0));
+    let streams = [Stream::Obstacles, Stream::Orientation, Stream::Channel, Stream::Users];
+    for (stream, bytes) in streams.into_iter().zip(payloads) {
+        core.handle(now, Input::Payload { key: InputKey::Report(stream.into()), bytes }, &mut commands);
+    }
+    core.decide(now, Timing::InTime, &mut |_| {}, &mut commands);
+    assert_eq!(commands.0, 1, "tick {tick}");
+}
+
 /// Allocations in each of the last ticks, after the first have sized all buffers.
-fn allocations(mut controller: Controller) -> Vec<u64> {
-    let mut scratch = Scratch::default();
+fn allocations(mut core: RoomCore) -> Vec<u64> {
     let payloads = payloads();
-    let counts = payloads.iter().enumerate().map(|(index, payloads)| {
-        measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total
-    });
+    let ticks = (1..).zip(&payloads);
+    let counts = ticks.map(|(number, payloads)| measure(|| tick(&mut core, number, payloads)).count_total);
     counts.skip(20).collect()
 }
 
@@ -78,7 +76,7 @@ fn no_policy_allocates() {
     let scenario = large();
     // The exhaustive search cannot run in a large room, and is no policy for a tick anywhere.
     for kind in PolicyKind::value_variants().iter().filter(|kind| **kind != PolicyKind::Exhaustive) {
-        let counts = allocations(controller(&scenario, build(*kind, &scenario).unwrap()));
+        let counts = allocations(core(&scenario, build(*kind, &scenario).unwrap()));
         assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
     }
 }
@@ -100,18 +98,13 @@ fn crowds() -> Vec<Payloads> {
 
 /// Lets a policy decide for the crowds; nothing may be allocated once the room was not empty.
 fn assert_no_allocation_for_crowds(scenario: &Scenario, kind: PolicyKind) {
-    let mut controller = controller(scenario, build(kind, scenario).unwrap());
-    controller.warm_up(0..2);
-    let mut scratch = Scratch {
-        users: UserReport::buffer(),
-        channel: ChannelReport::buffer(),
-        orientation: OrientationReport::buffer(),
-        ..Scratch::default()
-    };
-    for (index, payloads) in crowds().iter().enumerate() {
-        let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
-        assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);
+    let mut core = core(scenario, build(kind, scenario).unwrap());
+    core.warm_up(0..2);
+    for (number, payloads) in (1..).zip(&crowds()) {
+        let counted = measure(|| tick(&mut core, number, payloads)).count_total;
+        assert!(number < 5 || counted == 0, "{kind:?}, tick {number}: {counted}");
     }
+    let controller = core.controller();
     let failed = controller.counters().degraded(DegradedMode::PolicyFailed);
     let counted = (controller.counters().commands, failed, controller.inbox().refused().total());
     assert_eq!(counted, (26, 0, 0), "{kind:?}");
@@ -141,5 +134,5 @@ fn a_failing_policy_does_not_make_the_fallback_allocate() {
         out.roll[3] = f64::NAN;
         Ok(())
     });
-    assert_eq!(allocations(controller(&scenario, Box::new(failing))), [0; 40]);
+    assert_eq!(allocations(core(&scenario, Box::new(failing))), [0; 40]);
 }

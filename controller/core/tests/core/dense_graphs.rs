@@ -3,7 +3,7 @@
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
 use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_onnx::{
-    AttributeProto, ModelProto, StringStringEntryProto, TensorProto,
+    AttributeProto, ModelProto, TensorProto,
     attribute_proto::AttributeType,
     graph::{Ends, Graph},
     tensor_shape_proto::dimension::Value as Extent,
@@ -95,23 +95,19 @@ pub fn tensor<'a>(model: &'a mut ModelProto, prefix: &str) -> &'a mut TensorProt
 pub fn dense_actor(scenario: &Scenario) -> Vec<u8> {
     let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
     let (inputs, outputs) = (encoder.len(), 2 * scenario.mirror_count());
-    let mut chain = Chain::new(inputs);
+    let (mut graph, mut value) = (Graph::default(), INPUT_NAME.to_owned());
     for (seed, [from, to]) in [[inputs, 64], [64, 32], [32, outputs]].into_iter().enumerate() {
         let scale = (2.0 / from as f32).sqrt();
-        let weights = (0..from * to).map(|index| scale * ((index * (seed + 3)) as f32 * 0.731).sin()).collect();
-        chain.node("MatMul", 0, &[(&[from, to], weights)]).node("Add", 0, &[(&[1, to], vec![0.01; to])]);
-        chain.node(if seed < 2 { "Relu" } else { "Tanh" }, 0, &[]);
+        let weights: Vec<f32> =
+            (0..from * to).map(|index| scale * ((index * (seed + 3)) as f32 * 0.731).sin()).collect();
+        let weights = graph.constant(&format!("weights_{seed}"), &[from, to], &weights);
+        let bias = graph.constant(&format!("bias_{seed}"), &[1, to], &vec![0.01; to]);
+        let product = graph.node("MatMul", &[&value, &weights]);
+        let sum = graph.node("Add", &[&product, &bias]);
+        value = graph.node(if seed < 2 { "Relu" } else { "Tanh" }, &[&sum]);
     }
-    let mut model = chain.node("Mul", 0, &[(&[], vec![0.1])]).model(outputs);
-    let entries = room_entries(scenario, USERS_CAPACITY).into_iter();
-    model.metadata_props = entries.map(|(key, value)| StringStringEntryProto { key, value }).collect();
-    let graph = model.graph.as_mut().expect("a graph");
-    let renamed = |name: &mut String| match name.as_str() {
-        "x" => *name = INPUT_NAME.into(),
-        "y" => *name = ANGLES.into(),
-        _ => {}
-    };
-    graph.input.iter_mut().chain(&mut graph.output).for_each(|port| renamed(&mut port.name));
-    graph.node.iter_mut().flat_map(|node| node.input.iter_mut().chain(&mut node.output)).for_each(renamed);
-    model.encode_to_vec()
+    let scale = graph.scalar(0.1);
+    graph.node("Mul", &[&value, &scale]);
+    let ends = Ends { name: "test", input: (INPUT_NAME, inputs), output: (ANGLES, outputs) };
+    graph.finish(&ends, &room_entries(scenario, USERS_CAPACITY))
 }

@@ -58,7 +58,8 @@ fn a_second_source_is_refused_and_named_until_the_first_is_silent() {
     assert_eq!(other.tick(&mut controller, 2), Outcome::Nothing);
     assert_eq!(refused(&controller, Stream::Users, Refusal::ForeignSource), 1);
     assert_eq!(refused(&controller, Stream::Channel, Refusal::ForeignSource), 1);
-    assert_eq!(controller.inbox().refused().last_foreign_source(), Some(0x52));
+    let last = controller.inbox().refused().last();
+    assert_eq!(last.map(|last| last.found), Some(Found::Source(0x52)));
     assert_eq!(controller.inbox().source(), Some(SOURCE));
 
     // Silent for more than a second: ticks are 10 ms.

@@ -7,17 +7,17 @@ use heliostat_core::{
     inbox::Message,
     observation::{Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Network, Policy, PolicyKind, PolicyResult, Resources,
+        self, Actor, BuildError, DenseEngine, Policy, PolicyKind, PolicyResult, Resources,
         actor_file::{ANGLES, ActorError, ActorFile, INPUT_NAME, room_entries},
     },
 };
 use heliostat_onnx::{
-    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, ValueInfoProto,
-    f32_row, tensor_proto::DataType,
+    ModelProto, ValueInfoProto, f32_row,
+    graph::{Ends, Graph},
 };
 use heliostat_proto::{
-    ChannelReport, LedReport, MAX_USERS, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport,
-    OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState,
+    ChannelReport, LedReport, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport, OrientationReport,
+    Stamp, UserChannel, UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -215,16 +215,13 @@ impl Policy for Scripted {
     }
 }
 
-/// An ONNX file to order: a network of one layer whose weights are equal, and usually zero, so that
-/// it answers its bias.
+/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its bias.
 pub struct ActorRecipe {
     pub input_name: &'static str,
     pub output_name: &'static str,
     pub input_length: usize,
     pub output_length: usize,
     pub bias: Vec<f32>,
-    /// All weights have this value.
-    pub weight: f32,
     pub metadata: Vec<(String, String)>,
     /// Declares input or output, of one row or of any number.
     pub port: fn(&str, usize) -> ValueInfoProto,
@@ -241,7 +238,6 @@ impl ActorRecipe {
             input_length: ObservationEncoder::new(users_max, mirrors).len(),
             output_length: 2 * mirrors,
             bias: vec![0.25; 2 * mirrors],
-            weight: 0.0,
             metadata: room_entries(scenario, users_max),
             port: f32_row,
             opset: 17,
@@ -261,36 +257,18 @@ impl ActorRecipe {
 
     pub fn bytes(&self) -> Vec<u8> {
         let (inputs, outputs) = (self.input_length, self.output_length);
-        let node = |op: &str, input: [&str; 2], output: &str| NodeProto {
-            name: op.into(),
-            op_type: op.into(),
-            input: input.map(String::from).into(),
-            output: vec![output.into()],
-            ..NodeProto::default()
-        };
-        let graph = GraphProto {
-            name: "test".into(),
-            node: vec![
-                node("MatMul", [self.input_name, "weights"], "product"),
-                node("Add", ["product", "bias"], self.output_name),
-            ],
-            initializer: vec![
-                tensor("weights", &[inputs, outputs], vec![self.weight; inputs * outputs]),
-                tensor("bias", &[1, outputs], self.bias.clone()),
-            ],
-            input: vec![(self.port)(self.input_name, inputs)],
-            output: vec![(self.port)(self.output_name, outputs)],
-            ..GraphProto::default()
-        };
-        let entries = self.metadata.iter().cloned();
-        ModelProto {
-            ir_version: 8,
-            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: self.opset }],
-            graph: Some(graph),
-            metadata_props: entries.map(|(key, value)| StringStringEntryProto { key, value }).collect(),
-            ..ModelProto::default()
-        }
-        .encode_to_vec()
+        let mut graph = Graph::default();
+        let weights = graph.constant("weights", &[inputs, outputs], &vec![0.0; inputs * outputs]);
+        let bias = graph.constant("bias", &[1, self.bias.len()], &self.bias);
+        let product = graph.node("MatMul", &[self.input_name, &weights]);
+        graph.node("Add", &[&product, &bias]);
+        let ends = Ends { name: "test", input: (self.input_name, inputs), output: (self.output_name, outputs) };
+        let mut model = ModelProto::decode(&graph.finish(&ends, &self.metadata)[..]).expect("just written");
+        model.opset_import[0].version = self.opset;
+        let graph = model.graph.as_mut().expect("a graph");
+        graph.input = vec![(self.port)(self.input_name, inputs)];
+        graph.output = vec![(self.port)(self.output_name, outputs)];
+        model.encode_to_vec()
     }
 
     pub fn file(&self) -> ActorFile {
@@ -298,75 +276,15 @@ impl ActorRecipe {
     }
 }
 
-fn tensor(name: &str, shape: &[usize], values: Vec<f32>) -> TensorProto {
-    TensorProto {
-        name: name.into(),
-        dims: shape.iter().map(|size| *size as i64).collect(),
-        data_type: DataType::Float as i32,
-        float_data: values,
-        ..TensorProto::default()
-    }
-}
-
-/// Evaluates the networks of [`ActorRecipe`]: they return their bias, plus the weight times the sum
-/// of the inputs.
-pub struct BiasEngine;
-
-impl Engine for BiasEngine {
-    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        let model = ModelProto::decode(model).map_err(|error| error.to_string())?;
-        let weights = model.graph.map(|graph| graph.initializer).unwrap_or_default();
-        let find = |name: &str| weights.iter().find(|tensor| tensor.name == name).map(|tensor| &tensor.float_data);
-        let bias = find("bias").ok_or("expected a tensor \"bias\"")?.clone();
-        let weight = find("weights").and_then(|weights| weights.first()).copied().unwrap_or_default();
-        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
-        Ok(Box::new(BiasNetwork { input_length, rows: 1, input, output, bias, weight }))
-    }
-}
-
-struct BiasNetwork {
-    input_length: usize,
-    rows: usize,
-    input: Vec<f32>,
-    output: Vec<f32>,
-    bias: Vec<f32>,
-    weight: f32,
-}
-
-impl Network for BiasNetwork {
-    fn engine(&self) -> &'static str {
-        "bias"
-    }
-
-    fn set_rows(&mut self, rows: usize) -> PolicyResult {
-        assert!((1..=MAX_USERS).contains(&rows), "{rows} rows");
-        self.rows = rows;
-        Ok(())
-    }
-
-    fn input_mut(&mut self) -> &mut [f32] {
-        &mut self.input[..self.rows * self.input_length]
-    }
-
-    fn run(&mut self) -> PolicyResult<&[f32]> {
-        self.output.clear();
-        for row in self.input.chunks_exact(self.input_length).take(self.rows) {
-            let added = self.weight * row.iter().sum::<f32>();
-            self.output.extend(self.bias.iter().map(|bias| bias + added));
-        }
-        Ok(&self.output)
-    }
-}
-
 /// A policy by its name; learned ones with an actor that fits.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
     let actor = ActorRecipe::fitting(scenario).file();
-    policy::build(kind, scenario, &Resources { actor: Some(&actor), engine: &BiasEngine, monotonic_ns })
+    policy::build(kind, scenario, &Resources { actor: Some(&actor), engine: &DenseEngine, monotonic_ns })
 }
 
-/// Loads an actor with the test's engine.
+/// Loads an actor.
 pub fn load_actor(file: &ActorFile, scenario: &Scenario) -> Result<Actor, ActorError> {
-    Actor::load(file, scenario, &BiasEngine)
+    Actor::load(file, scenario, &DenseEngine)
 }
 
 fn monotonic_ns() -> u64 {

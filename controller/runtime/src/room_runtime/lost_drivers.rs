@@ -7,27 +7,27 @@ use super::status::{Problem, Subject};
 /// The lost drivers of a room, and those of them that the journal has named.
 #[derive(Default)]
 pub struct LostDrivers {
-    all: Vec<LostDriver>,
-    /// Those that left while another driver served their array. The absence of the only one has its own line.
-    beside_others: Vec<LostDriver>,
+    /// Each with whether another driver served its array then. The absence of the only one has its own line.
+    all: Vec<(LostDriver, bool)>,
     named: Vec<LostDriver>,
 }
 
 impl LostDrivers {
     /// Replaces all of them.
-    pub fn set(&mut self, all: Vec<LostDriver>, beside_others: Vec<LostDriver>) {
-        self.named.retain(|driver| beside_others.contains(driver));
-        (self.all, self.beside_others) = (all, beside_others);
+    pub fn set(&mut self, all: Vec<(LostDriver, bool)>) {
+        self.named.retain(|driver| all.contains(&(*driver, true)));
+        self.all = all;
     }
 
     /// Name and value of the counter of each.
     pub fn counters(&self) -> impl Iterator<Item = (String, u64)> {
-        self.all.iter().map(LostDriver::counter)
+        self.all.iter().map(|(driver, _)| driver.counter())
     }
 
     /// The next one that left beside another driver, once.
     pub fn news(&mut self) -> Option<(Subject, Problem)> {
-        let driver = *self.beside_others.iter().find(|driver| !self.named.contains(driver))?;
+        let is_news = |(driver, had_other): &&(LostDriver, bool)| *had_other && !self.named.contains(driver);
+        let (driver, _) = *self.all.iter().find(is_news)?;
         self.named.push(driver);
         let (source, array) = (driver.source, array_name(driver.array));
         let text = format!(
@@ -45,10 +45,10 @@ mod tests {
     #[test]
     fn a_driver_that_left_beside_another_one_is_named_once_and_again_after_its_return() {
         let driver = |source, since_ns| LostDriver { array: 1, source, since_ns };
-        let (only, second) = (driver(5, 1), driver(7, 2));
+        let (only, second) = ((driver(5, 1), false), driver(7, 2));
         let mut lost = LostDrivers::default();
         let mut news = |second: &[LostDriver]| {
-            lost.set([&[only][..], second].concat(), second.to_vec());
+            lost.set([only].into_iter().chain(second.iter().map(|driver| (*driver, true))).collect());
             assert_eq!(lost.counters().count(), 1 + second.len());
             match lost.news() {
                 Some((Subject::Driver, Problem::End(text))) => text,

@@ -15,7 +15,6 @@ use std::{
 
 use clap::ValueEnum;
 use heliostat_bus::{Bus, Subscription};
-use heliostat_channel::ChannelModel;
 use heliostat_core::{
     core::WARM_UP_RUNS,
     policy::{Finding, Policy, PolicyKind, warm_up},
@@ -59,8 +58,6 @@ pub struct SwapCounters {
 pub struct PolicyBuilder {
     /// The room.
     pub scenario: Scenario,
-    /// Its optics.
-    pub model: ChannelModel,
     /// The policy of the command line and the source of its actor; other policies use built-in
     /// actors.
     pub configured: (PolicyKind, ActorSource),
@@ -77,7 +74,8 @@ impl PolicyBuilder {
         let source = if kind == *configured { source } else { &ActorSource::Shipped };
         let tried = build_tried(kind, &self.scenario, source);
         let (mut policy, findings) = tried.map_err(|error| error.to_string())?;
-        warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
+        let model = self.scenario.channel_model().map_err(|error| error.to_string())?;
+        warm_up(&mut [policy.as_mut()], &model, self.scenario.users.count, warm_up_runs());
         Ok((policy, findings))
     }
 }
@@ -177,37 +175,14 @@ fn enqueue(payload: &[u8], orders: &SyncSender<ControllerControl>) -> Result<(),
 mod tests {
     use super::*;
 
-    fn builder(scenario: Scenario) -> PolicyBuilder {
-        let model = scenario.channel_model().expect("a built-in scenario");
-        PolicyBuilder { scenario, model, configured: (PolicyKind::Ddpg, ActorSource::Shipped) }
-    }
-
     #[test]
     fn a_known_policy_is_built_and_an_unknown_one_is_refused_with_its_name() {
-        let builder = builder(Scenario::default());
+        let configured = (PolicyKind::Ddpg, ActorSource::Shipped);
+        let builder = PolicyBuilder { scenario: Scenario::default(), configured };
         assert_eq!(builder.build("greedy").expect("it is there").0.name(), "greedy");
         let refusal = builder.build("clairvoyant").err().expect("no such policy");
         assert!(refusal.contains("\"clairvoyant\"") && refusal.contains("fixed-point"), "{refusal}");
         let misspelt = builder.build("gready").err().expect("no such policy");
         assert!(misspelt.ends_with("; a similar name exists: greedy"), "{misspelt}");
-    }
-
-    #[test]
-    fn a_policy_worse_than_flat_mirrors_is_built_with_a_warning() {
-        let (policy, findings) = builder(Scenario::default()).build("ddpg-raw").expect("it is there");
-        assert_eq!(policy.name(), "ddpg-raw");
-        let [Finding::Warning(warning)] = &findings[..] else { panic!("expected one warning: {findings:?}") };
-        assert!(warning.contains("worse than flat mirrors"), "{warning}");
-    }
-
-    #[test]
-    fn a_policy_that_does_not_fit_the_room_is_refused_with_the_reason() {
-        let mut scenario = Scenario::default();
-        let array = scenario.mirrors.first_mut();
-        (array.rows, array.columns) = (6, 9);
-        let refusal = builder(scenario.clone()).build("ddpg-raw").err().expect("no file for 6 x 9 mirrors");
-        assert!(refusal.contains("6x9"), "{refusal}");
-        let (policy, _) = builder(scenario).build("ddpg").expect("its file serves any array");
-        assert_eq!(policy.engine(), Some("dense"));
     }
 }

@@ -176,7 +176,7 @@ impl Reporter {
     ) -> Snapshot {
         let controller = decision_loop.room.controller();
         let room = &decision_loop.room;
-        self.lost_drivers.set(room.lost_drivers().collect(), room.lost_beside_others().collect());
+        self.lost_drivers.set(room.lost_drivers().collect());
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
         summary.dropped = room.superseded();

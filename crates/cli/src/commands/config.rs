@@ -52,12 +52,9 @@ pub fn run(args: Args) -> Result<()> {
             config.check_model().map_err(exit::unusable)?;
             let process = json!({
                 "name": "controller",
-                "policy": config.policy.name(),
-                "model": config.model,
-                "pace": match config.pace {
-                    heliostat_controller::config::Pace::Live => "live",
-                    heliostat_controller::config::Pace::Lockstep => "lockstep",
-                },
+                "policy": config.policy.kind().name(),
+                "model": config.policy.model,
+                "pace": if config.is_lockstep { "lockstep" } else { "live" },
                 "seconds": config.run_for.map(|duration| duration.as_secs_f64()),
             });
             document(&config.scenario, Some(&config.bus), process)?

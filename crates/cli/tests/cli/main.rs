@@ -8,6 +8,8 @@ mod help;
 mod json_errors;
 mod link;
 #[cfg(target_os = "linux")]
+mod open_files;
+#[cfg(target_os = "linux")]
 mod output;
 
 use std::process::{Command, Output};

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use anyhow::{Result, bail};
+use heliostat_bus::arriving::arriving;
 use heliostat_bus::{Bus, BusError};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, STATUS_WITHIN};
@@ -11,7 +12,6 @@ use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
 
 use super::PRESENCE_LIMIT;
-use crate::arriving::arriving;
 
 /// Refuses a room with a controller: the check would take its array, and the controller would interfere with the check.
 ///

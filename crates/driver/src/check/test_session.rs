@@ -7,6 +7,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use heliostat_bus::arriving::fetch;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
@@ -21,7 +22,6 @@ use super::PRESENCE_LIMIT;
 use super::received::{Received, problem_of_device};
 use super::report::{Failure, describe_failure};
 use super::room_in_use::is_commanded;
-use crate::arriving::fetch;
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);

@@ -19,6 +19,7 @@ use heliostat_needs::needs;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Feedback, MirrorCommand, MirrorTelemetry, Stamp};
 
+use crate::servo_board::servo_board;
 use crate::{LIMIT, until};
 
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
@@ -143,40 +144,6 @@ fn another_device_on_the_port_is_refused_by_its_answer() {
     assert!(error.contains("\"hello\"") && error.contains("pl-ok"), "{error}");
 }
 
-/// A servo board on a socket, one connection after the other; it disconnects after `lines` lines.
-fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap().to_string();
-    let log = Arc::new(Mutex::new(Vec::new()));
-    let lines_received = Arc::clone(&log);
-    std::thread::spawn(move || {
-        for stream in listener.incoming() {
-            let stream = stream.unwrap();
-            let mut out = stream.try_clone().unwrap();
-            let (mut at, mut is_greeted) = ("0 0 0 0".to_owned(), false);
-            for line in BufReader::new(stream).lines().take(lines).map_while(Result::ok) {
-                let answer = match line.split_once(' ').map_or((line.as_str(), ""), |parts| parts) {
-                    ("hello", _) => "heliostat 1 2 -523599 523599 1".to_owned(),
-                    ("set", angles) => {
-                        at = angles.to_owned();
-                        "ok".to_owned()
-                    }
-                    ("get", _) => format!("at {at}"),
-                    ("stop", _) => "ok".to_owned(),
-                    _ => "error unknown".to_owned(),
-                };
-                // The driver asks an idle board with the same line.
-                if line != "hello" || !std::mem::replace(&mut is_greeted, true) {
-                    lines_received.lock().unwrap().push(line);
-                }
-                // The driver may have closed the connection.
-                writeln!(out, "{answer}").ok();
-            }
-        }
-    });
-    (address, log)
-}
-
 fn servos(address: &str, mirrors: &str) -> Wall {
     wall(&format!(
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = {mirrors}"
@@ -185,7 +152,7 @@ fn servos(address: &str, mirrors: &str) -> Wall {
 
 #[test]
 fn a_servo_board_receives_angles_in_the_order_of_its_channels() {
-    let (address, log) = servo_board(usize::MAX);
+    let (address, log) = servo_board(2, usize::MAX);
     let mut device = servos(&address, "[1, 0]");
     device.connect(NOW).unwrap();
     let angles = MirrorAngles { roll: vec![0.1, 0.2], yaw: vec![-0.3, 0.4] };
@@ -203,7 +170,7 @@ fn a_servo_board_receives_angles_in_the_order_of_its_channels() {
 
 #[test]
 fn a_board_with_other_limits_than_configured_is_refused() {
-    let (address, _log) = servo_board(usize::MAX);
+    let (address, _log) = servo_board(2, usize::MAX);
     let wide = format!(
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -40.0\nmax_deg = 30.0\nmirrors = [0, 1]"
     );
@@ -214,7 +181,7 @@ fn a_board_with_other_limits_than_configured_is_refused() {
 #[test]
 fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
     // hello and the park position; then it disconnects.
-    let (address, log) = servo_board(2);
+    let (address, log) = servo_board(2, 2);
     let mut kit = Kit::new(servos(&address, "[0, 1]"));
     let at = |ms: u64| Moment { local_ns: ms * 1_000_000, room_ns: NOW.room_ns + ms * 1_000_000 };
     let start = Instant::now();

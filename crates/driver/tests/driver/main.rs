@@ -6,6 +6,8 @@ mod claim;
 mod conformance;
 mod devices;
 mod direct_commands;
+#[cfg(unix)]
+mod servo_board;
 mod servo_board_document;
 mod stop_record;
 mod stops;

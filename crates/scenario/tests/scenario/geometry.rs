@@ -1,9 +1,7 @@
 //! The geometry that a room announces: complete for a viewer, checked, and without file paths.
 
+use heliostat_proto::MAX_GEOMETRY;
 use heliostat_scenario::{BUILTIN_NAMES, GeometryDifference, RoomDifference, Scenario};
-
-/// Longest text of the message in the contract.
-const ANNOUNCED_MAX: usize = 16_384;
 
 fn with(overrides: &[&str]) -> Scenario {
     Scenario::default().with_overrides(overrides).unwrap()
@@ -40,7 +38,7 @@ fn the_geometry_of_an_extreme_scenario_is_accepted_and_fits_into_a_message() {
     ];
     let scenario = with(&sets);
     let text = scenario.geometry_toml();
-    assert!(text.len() <= ANNOUNCED_MAX, "{} bytes", text.len());
+    assert!(text.len() <= MAX_GEOMETRY, "{} bytes", text.len());
     let announced = Scenario::from_geometry_toml(&text).unwrap();
     assert_eq!(scenario.geometry_difference(&announced), None);
     let low = with(&[

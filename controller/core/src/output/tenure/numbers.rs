@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
 /// How the epoch is chosen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) enum Rule {
     /// One epoch; telemetry is ignored.
+    #[default]
     Fixed,
     /// One epoch; stands by while another sender's commands are followed.
     Lockstep,

@@ -57,7 +57,7 @@ impl Input {
             }
             ObservationKind::Cell => Kind::Cell(TargetUser::of(scenario), Cells::of(scenario, info.columns.isqrt())),
         };
-        let encoder = info.encoder(scenario.mirror_count());
+        let encoder = ObservationEncoder::new(info.users_max, scenario.mirror_count());
         Self {
             vector: vec![0.0; encoder.len()],
             selection: Selection::new(encoder.users_max()),

@@ -134,9 +134,8 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
         return Some(format!("{name} refused: {of_user}"));
     }
     Some(match (refusal, decision_loop.room.last_malformed()) {
-        (Refusal::ForeignSource, _) => format!(
-            "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
-            inbox.refused().last_foreign_source().unwrap_or_default(),
+        (Refusal::ForeignSource, _) if let Found::Source(source) = found => format!(
+            "a second source {source:016x} reports {name} in this room, which source {:016x} owns; it is refused",
             owner.unwrap_or_default()
         ),
         (Refusal::WrongMirrorCount, _) if let Found::Sizes(TelemetrySizes { roll, yaw, expected }) = found => format!(
@@ -150,7 +149,7 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
             "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
             -age_s
         ),
-        _ => format!("{name} refused: {refusal}"),
+        _ => format!("{name} refused: {}", refusal.name()),
     })
 }
 
@@ -183,7 +182,7 @@ fn describe_user(found: Found) -> Option<String> {
             "user {user}: a gain of {los_gain:e}: expected 0 to 1, the received share of the light; check scale and \
              offset of the receiver"
         )),
-        Found::Nothing | Found::Sizes(_) | Found::AgeS(_) => None,
+        Found::Nothing | Found::Sizes(_) | Found::AgeS(_) | Found::Source(_) => None,
     }
 }
 

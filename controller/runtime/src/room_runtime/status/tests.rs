@@ -105,12 +105,12 @@ fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
 
 #[test]
 fn the_drivers_that_have_left_are_in_each_status_also_while_the_policy_does_not_return() {
-    let lost = vec![LostDriver { array: 1, source: 7, since_ns: 5_000_000_000 }];
+    let lost = LostDriver { array: 1, source: 7, since_ns: 5_000_000_000 };
     let mut reporter = Reporter::default();
-    reporter.lost_drivers.set(lost.clone(), Vec::new());
+    reporter.lost_drivers.set(vec![(lost, false)]);
     let (summary, swaps) = (Summary::default(), SwapCounters::default());
     let stalled = reporter.report_stall(&summary);
     let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state: String::new(), swaps };
     let running = reporter.report(&snapshot, &StageTimes::default());
-    assert_eq!([running, stalled].map(|status| LostDriver::all_of(&status)), [lost.clone(), lost]);
+    assert_eq!([running, stalled].map(|status| LostDriver::all_of(&status)), [[lost], [lost]]);
 }

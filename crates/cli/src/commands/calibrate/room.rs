@@ -5,12 +5,12 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
+use heliostat_bus::arriving::fetch;
 use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_calibrate::commander::{
     Commander, Guest, LEAD_EVERY_NS, LEAD_WITHIN_NS, RELEASE_NS, TELEMETRY_GAP_MAX_NS, VALIDITY_MS,
 };
 use heliostat_channel::MirrorAngles;
-use heliostat_driver::arriving::fetch;
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{

@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
+use heliostat_bus::arriving::arriving;
 use heliostat_bus::{Bus, BusError};
-use heliostat_driver::arriving::arriving;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, STATUS_WITHIN};

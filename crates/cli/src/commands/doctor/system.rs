@@ -4,12 +4,12 @@ use std::fmt;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
+use heliostat_bus::arriving::arriving;
 use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through};
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
 use heliostat_core::policy::Finding;
-use heliostat_driver::arriving::arriving;
 use heliostat_models::{PolicyArgs, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
@@ -234,8 +234,10 @@ fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
     }
     let bus = Bus::open(&config.clone().reaching(Reach::Within(DRIVER_WAIT)))?;
     bus.wait_connected(CONNECTED_WITHIN);
-    let is_silent =
-        |endpoint: &&String| !Bus::has_listener(&BusConfig { connect: vec![(*endpoint).clone()], ..config.clone() });
+    let is_silent = |endpoint: &&String| {
+        let at = BusConfig { connect: vec![(*endpoint).clone()], ..config.clone() };
+        Bus::find_unanswered(&at).is_some()
+    };
     let unanswered = config.connect.iter().filter(is_silent).cloned().collect();
     Ok((bus, unanswered))
 }

@@ -5,7 +5,7 @@ use heliostat_bus::BusConfig;
 use heliostat_proto::{ArrayState, MirrorTelemetry, RoomGeometry, Stamp, encode};
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
-use heliostat_service::log_limit::{EVENTS_MAX, FLOOD_END};
+use heliostat_service::log_limit::{EVENT_EVERY, EVENTS_MAX};
 use prost::Message;
 
 use super::*;
@@ -100,9 +100,9 @@ fn a_flood_of_tokens_has_one_line_in_ten_seconds_and_hides_no_process_of_another
     };
     let most = EVENTS_MAX as usize;
     assert_eq!(lines(Duration::ZERO, 10_000), most + 1);
-    assert_eq!(lines(FLOOD_END, 10_000), most + 1);
+    assert_eq!(lines(EVENT_EVERY, 10_000), 2);
     let controller = Presence { node: NodeKind::Controller, source: 1, alive: false };
-    assert!(writer.presence_line(begin + FLOOD_END, controller).is_some());
+    assert!(writer.presence_line(begin + EVENT_EVERY, controller).is_some());
 }
 
 #[test]

@@ -4,8 +4,10 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusError, Subscription};
 use heliostat_proto::{Message, decode};
+
+use crate::error::BusError;
+use crate::session::{Bus, Subscription};
 
 /// Time between two queries.
 const QUERY_EVERY: Duration = Duration::from_millis(50);

@@ -138,8 +138,8 @@ fn orientations_are_refused_for_the_reasons_of_the_other_reports() {
     receive(&mut controller, now, Message::Users(&mut room.positions(100))).command();
     for (mut report, reason) in cases {
         receive(&mut controller, now, Message::Orientation(&mut report));
-        assert_eq!(refused(&controller, Stream::Orientation, reason), 1, "{reason}");
-        assert!(controller.inbox().orientation(now).is_none(), "{reason}");
+        assert_eq!(refused(&controller, Stream::Orientation, reason), 1, "{reason:?}");
+        assert!(controller.inbox().orientation(now).is_none(), "{reason:?}");
     }
     for _ in 0..2 {
         receive(&mut controller, now, Message::Orientation(&mut repeated.clone()));

@@ -285,7 +285,7 @@ def test_a_call_that_takes_longer_than_the_interval_of_a_status_is_named_when_it
     device.connect()
     assert device.take_slow() == "", "no mirror turns before a connection"
     device.measure()
-    assert device.take_slow().startswith("measure took 0."), "the longest one"
+    assert device.take_slow().startswith("measure took "), "once it has returned"
     assert device.take_slow() == "", "once"
 
 
@@ -427,10 +427,16 @@ def test_a_flood_of_stops_has_a_bounded_number_of_lines_and_hides_no_release(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     limit = _EventLimit("further stops")
-    lines = [line for ms in range(0, 60_000, 10) if (line := limit.line(f"stop {ms}", ms / 1000))]
-    assert len(lines) == _EVENTS_MAX + 6 and lines[0] == "stop 0"
-    assert lines[_EVENTS_MAX:][:2] == ["further stops", "further stops (1000 times)"]
-    assert limit.line("stop", 80.0) == "stop", "each one after the flood"
+    # Their times are exact as numbers of the machine.
+    lines = [line for step in range(60 * 128) if (line := limit.line(f"stop {step}", step / 128))]
+    assert len(lines) == _EVENTS_MAX + 5 + 6 and lines[0] == "stop 0"
+    assert lines[_EVENTS_MAX:][:3] == ["further stops", "stop 1280", "further stops (1279 times)"]
+
+    def burst(at_s: float) -> int:
+        return sum(limit.line("stop", at_s) is not None for _ in range(_EVENTS_MAX))
+
+    assert max(burst(11.0 * number) for number in range(8, 100)) <= 4, "a pause of ten seconds ends no flood"
+    assert burst(3000.0) == _EVENTS_MAX, "each one after a long pause"
     with _Log() as log:
         shown = _Shown(log, "")
         for sequence in range(2 * _EVENTS_MAX):

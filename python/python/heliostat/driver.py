@@ -54,7 +54,7 @@ from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_argument
 
 _LONGEST_WAIT_NS = 50_000_000
 _EVENTS_MAX = 100
-_FLOOD_END_S = 10.0
+_EVENT_EVERY_S = 10.0
 
 
 def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
@@ -436,21 +436,24 @@ class _Log:
 
 
 class _EventLimit:
-    """The lines of events that other processes can cause at any rate: the first ones, then one in ten seconds."""
+    """The lines of events that other processes can cause at any rate, by the rule of `heliostat driver run`: of more than
+    some in succession and one further in ten seconds, one line in ten seconds stands for the others."""
 
     def __init__(self, further: str) -> None:
-        self._further, self._events, self._unshown = further, 0, 0
+        self._further, self._unshown = further, 0
+        # Each event with a line adds the time after which one further event has one.
+        self._owed_s = 0.0
         self._last = self._shown = -math.inf
 
     def line(self, event: str, now_s: float) -> str | None:
         """The line of an event, if one is due."""
-        if now_s - self._last >= _FLOOD_END_S:
-            self._events = 0
-        self._last, self._events = now_s, self._events + 1
-        if self._events <= _EVENTS_MAX:
+        self._owed_s = max(0.0, self._owed_s - (now_s - self._last))
+        self._last = now_s
+        if self._owed_s + _EVENT_EVERY_S <= _EVENT_EVERY_S * _EVENTS_MAX:
+            self._owed_s += _EVENT_EVERY_S
             return event
         self._unshown += 1
-        if now_s - self._shown < _FLOOD_END_S:
+        if now_s - self._shown < _EVENT_EVERY_S:
             return None
         count, self._unshown, self._shown = self._unshown, 0, now_s
         return f"{self._further} ({count} times)" if count > 1 else self._further

@@ -40,7 +40,7 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, TomlError> {
 impl TomlError {
     fn new(text: &str, error: &toml::de::Error) -> Self {
         let message = in_words(error.message()).replace('\n', "; ");
-        let line_at = |place: usize| Some(text[..place].matches('\n').count() + 1);
+        let line_at = |place: usize| Some(line_of(text, place));
         let span = error.span();
         let Ok(document) = DeTable::parse(text) else {
             let line = span.and_then(|span| line_at(span.start));
@@ -96,7 +96,8 @@ fn table_at<'a, 'text>(table: &'a DeTable<'text>, span: &Range<usize>) -> Option
     })
 }
 
-/// The first entry of a table that a message of the parser refuses, by its name or its value, and its place.
+/// The entry of a table that a message of the parser refuses, by its name or its value, and its place; `None` where
+/// several have this value, because the message does not say which of them it refuses.
 fn refused_in(table: &DeTable<'_>, message: &str) -> Option<(String, usize)> {
     let unknown = message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
     let value = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
@@ -104,9 +105,9 @@ fn refused_in(table: &DeTable<'_>, message: &str) -> Option<(String, usize)> {
     let is_refused = |key: &str, found: &DeValue<'_>| {
         unknown == Some(key) || (value.is_some() && described(found).as_deref() == value)
     };
-    let entries = table.iter().filter(|(key, found)| is_refused(key.get_ref(), found.get_ref()));
-    let (key, _) = entries.min_by_key(|(key, _)| key.span().start)?;
-    Some((key.get_ref().to_string(), key.span().start))
+    let mut entries = table.iter().filter(|(key, found)| is_refused(key.get_ref(), found.get_ref()));
+    let (key, _) = entries.next()?;
+    entries.next().is_none().then(|| (key.get_ref().to_string(), key.span().start))
 }
 
 /// A value in the words of the parser.
@@ -121,6 +122,11 @@ fn described(value: &DeValue<'_>) -> Option<String> {
         DeValue::Datetime(_) => return None,
     };
     Some(found.to_string())
+}
+
+/// The line of a place in a text, from 1. The place is that of any byte, also within a letter or beyond the end.
+pub fn line_of(text: &str, place: usize) -> usize {
+    text.bytes().take(place).filter(|byte| *byte == b'\n').count() + 1
 }
 
 /// The innermost entry of a table around a place in the text, with its name from the root.
@@ -259,6 +265,14 @@ mod tests {
     }
 
     #[test]
+    fn a_place_within_a_letter_or_beyond_the_end_has_a_line() {
+        assert_eq!([0, 2, 3, 4, 99].map(|place| line_of("\u{e9}\nb\n", place)), [1, 1, 2, 2, 3]);
+        for text in ["\u{201c}", "rows = \u{201c}1\u{201d}", "rows = 1\u{e9}\n", "rows = 1\n\u{e9} = [\u{e9}"] {
+            assert!(!refusal(text).contains('\n'), "{text}");
+        }
+    }
+
+    #[test]
     fn a_refused_value_of_a_table_whose_kind_decides_is_named_as_any_other() {
         let board = |lines: &str| {
             let first = "[[boards]]\nkind = \"servo\"\naddress = \"a\"\nrange_deg = 1.0\nmirrors = [0]\n";
@@ -267,8 +281,13 @@ mod tests {
         let number = "line 10: boards.1.range_deg: invalid type: string \"five\", expected a number";
         assert_eq!(board("address = \"b\"\nrange_deg = \"five\"\nmirrors = [1]"), number);
         assert_eq!(
-            board("address = 5\nrange_deg = 5\nmirrors = [1]"),
-            "line 9: boards.1.address: invalid type: integer `5`, expected a string"
+            board("range_deg = 1\naddress = 5\nmirrors = [1]"),
+            "line 10: boards.1.address: invalid type: integer `5`, expected a string"
+        );
+        // The message does not say which 5 it refuses.
+        assert_eq!(
+            board("range_deg = 5\naddress = 5\nmirrors = [1]"),
+            "line 7: boards.1: invalid type: integer `5`, expected a string"
         );
         assert!(board("range = 5.0").starts_with("line 9: boards.1.range: unknown field `range`, expected one of "));
         assert_eq!(board("address = \"b\"\nmirrors = [1]"), "line 7: boards.1: missing field `range_deg`");

@@ -1,5 +1,7 @@
 //! The line of a scenario file on which a key is set.
 
+use heliostat_files::toml_text;
+
 /// The line of the file that sets `table.key`, counted from 1; `None` if no line does.
 ///
 /// A missing subkey gives the line of its table. Text after a space in `key` is ignored.
@@ -21,5 +23,5 @@ pub(crate) fn line_of(text: &str, key: &str) -> Option<usize> {
             None => break,
         }
     }
-    Some(text[..found.0.span().start].matches('\n').count() + 1)
+    Some(toml_text::line_of(text, found.0.span().start))
 }

@@ -7,7 +7,7 @@ use std::fmt;
 use std::ops::Range;
 
 use heliostat_files::excerpt;
-use heliostat_files::toml_text::{entry_at, in_words, visible};
+use heliostat_files::toml_text::{entry_at, in_words, line_of, visible};
 use toml::de::{DeTable, DeValue};
 
 use crate::blame::refused_key;
@@ -147,7 +147,7 @@ fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>
     else {
         return (Problem { line: None, text: error.in_one_line() }, None);
     };
-    let line = text[..place].matches('\n').count() + 1;
+    let line = line_of(text, place);
     let message = message.replace('\n', "; ");
     let Ok(document) = DeTable::parse(text) else {
         let written = visible(text.lines().nth(line - 1).unwrap_or_default());

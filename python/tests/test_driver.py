@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
-from heliostat._watched import Watched
+from heliostat._watched import LastProblem, Watched
 from heliostat.driver import _EVENTS_MAX, Capabilities, Device, _EventLimit, _Log, _Record, _Shown, run
 from heliostat.peer import Peer, PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
@@ -287,6 +287,23 @@ def test_a_call_that_takes_longer_than_the_interval_of_a_status_is_named_when_it
     device.measure()
     assert device.take_slow().startswith("measure took "), "once it has returned"
     assert device.take_slow() == "", "once"
+
+
+def test_a_slow_call_hides_no_problem_of_the_station_and_brings_back_no_old_one() -> None:
+    last = LastProblem()
+
+    def of(own: str, refused: int, slow: str = "", unrecorded: int = 0) -> str:
+        counters = [("device_absent", 0), ("stop_unrecorded", unrecorded), ("refused:command:expired", refused)]
+        return last.of({"last_problem": own, "counters": counters}, slow)
+
+    assert of("", 0) == ""
+    assert of("", 0, "measure took 0.6 s") == "measure took 0.6 s"
+    assert of("command: expired", 1, "measure took 0.7 s") == "command: expired", "a new one comes first"
+    assert [of("command: expired", 1) for _ in range(2)] == ["measure took 0.7 s"] * 2, "the later one stays"
+    assert of("command: expired", 2) == "command: expired", "it is refused again"
+    assert of("command: expired", 2) == "command: expired"
+    lost = "the stop is not recorded"
+    assert [of(lost, 2, "measure took 0.6 s", unrecorded=1) for _ in range(3)] == [lost] * 3, "it lasts"
 
 
 def test_the_status_of_a_slow_device_names_its_call(tmp_path: Path) -> None:

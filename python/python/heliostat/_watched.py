@@ -108,3 +108,28 @@ class Watched:
                     self._show(problem)
                 self._report(problem)
                 shown = present
+
+
+class LastProblem:
+    """The last problem of a status: that of its station, or a slow call of the device after it.
+
+    A slow call hides neither a problem that lasts nor a new one of the station, and an old one does not return after it.
+    """
+
+    def __init__(self) -> None:
+        self._slow = ""
+        # The problem of the station, and what it counts at each refusal.
+        self._own: tuple[str, list[int]] | None = None
+
+    def of(self, status: dict[str, Any], slow: str) -> str:
+        """The problem for this status of the station, with the slow call since the last one; empty without one."""
+        counters: dict[str, int] = dict(status["counters"])
+        own = str(status["last_problem"]), [count for name, count in counters.items() if name.startswith("refused:")]
+        is_new = own != self._own
+        if is_new:
+            self._own, self._slow = own, ""
+        self._slow = slow or self._slow
+        lasts = counters["stop_unrecorded"] > 0 or counters["device_absent"] > 0
+        if lasts or (is_new and own[0]):
+            return own[0]
+        return self._slow or own[0]

@@ -49,7 +49,7 @@ from ._core import (
     stop_record_folder,
 )
 from ._stop_file import StopFile
-from ._watched import Watched
+from ._watched import LastProblem, Watched
 from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
@@ -338,6 +338,7 @@ def run(
         peer.report_silence(log.show)
         record = _Record(station, log, received)
         shown, more, given_up_ns = _Shown(log, station.stop), False, 0
+        last_problem = LastProblem()
         taken: PeerError | None = None
         while True:
             try:
@@ -366,9 +367,11 @@ def run(
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload
-                if name == "status" and (slow := watched.take_slow()):
-                    shown.note_slow(slow)
-                    peer.put(name, with_problem(decode(payload, KINDS["status"]), slow))
+                if name == "status":
+                    status, slow = decode(payload, KINDS["status"]), watched.take_slow()
+                    if slow:
+                        shown.note_slow(slow)
+                    peer.put(name, with_problem(status, last_problem.of(status, slow)))
                 else:
                     peer.put(name, payload)
                 if name == "safety":

@@ -25,6 +25,8 @@ const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
 const FREQUENCY_HZ: RangeInclusive<f64> = 0.01..=1e6;
 /// Coherence times of the users' orientations in s.
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
+/// Ranges of mirrors in degrees: an axis turns by so much, plus and minus.
+pub const RANGE_DEG: RangeInclusive<f64> = 0.01..=90.0;
 /// Optical power of an LED in W.
 pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
 /// Walking speed in m/s of users who do not stand still. A user who walks faster crosses the
@@ -178,7 +180,7 @@ impl Scenario {
         within("actuator.damping_ratio", actuator.damping_ratio.unwrap_or(1.0), 0.0..=100.0)?;
         zero_or("actuator.low_pass_hz", actuator.low_pass_hz.unwrap_or(1.0), FREQUENCY_HZ)?;
         within("actuator.slew_deg_per_s", actuator.slew_deg_per_s.unwrap_or(1.0), 0.0..=1e6)?;
-        within("actuator.range_deg", actuator.range_deg.unwrap_or(1.0), 0.01..=90.0)?;
+        within("actuator.range_deg", actuator.range_deg.unwrap_or(1.0), RANGE_DEG)?;
         count("actuator.resolution_bits", actuator.resolution_bits.unwrap_or(0) as usize, 0..=32)?;
         within("actuator.delay_ms", actuator.delay_ms.unwrap_or(0.0), 0.0..=1e4)?;
         within("actuator.jitter_deg", actuator.jitter_deg.unwrap_or(0.0), 0.0..=90.0)?;
@@ -192,7 +194,7 @@ impl Scenario {
         within("control.validity_ms", control.validity_ms, 1.0..=10_000.0)?;
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
         within("control.source_timeout_ms", control.source_timeout_ms, 10.0..=600_000.0)?;
-        within("control.range_deg", control.range_deg, 0.01..=90.0)?;
+        within("control.range_deg", control.range_deg, RANGE_DEG)?;
         within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
         within("control.deadline_ms", control.deadline_ms, 0.0..=60_000.0)?;
         let walk = &control.walk;

@@ -55,7 +55,7 @@ mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
 pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
-pub use check::{POWER_W, SPEED_M_S, USERS_MAX};
+pub use check::{POWER_W, RANGE_DEG, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry_difference::{GeometryDifference, ROOM_DIFFERS, RoomDifference};
 pub use heliostat_files::similar;

@@ -1,15 +1,12 @@
 //! Places that the mirrors cannot light within their range.
 
 use heliostat_channel::ChannelModel;
-use heliostat_scenario::{ChannelMode, Scenario};
+use heliostat_scenario::{ChannelMode, RANGE_DEG, Scenario};
 
 use crate::{
     capabilities::{Examiner, Force},
     safety::Limits,
 };
-
-/// The largest range that a scenario can have, in degrees.
-const LARGEST_DEG: u32 = 90;
 
 /// A range within which some of the floor gets no light by any mirror.
 #[derive(Debug, PartialEq, Eq)]
@@ -51,7 +48,7 @@ pub(super) fn too_small(scenario: &Scenario, model: &ChannelModel) -> Option<Sma
 /// The smallest range in whole degrees within which mirrors reach all of the floor; `None` if there is none.
 fn sufficient_deg(examiner: &Examiner) -> Option<f64> {
     let reaches_all = |range_deg: u32| examiner.reach_of_all(f64::from(range_deg).to_radians()) >= 1.0;
-    let (mut too_small, mut sufficient) = (0, LARGEST_DEG);
+    let (mut too_small, mut sufficient) = (0, *RANGE_DEG.end() as u32);
     if !reaches_all(sufficient) {
         return None;
     }

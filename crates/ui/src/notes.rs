@@ -42,7 +42,6 @@ impl Received {
             notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
         }
         let controllers = self.present_controllers();
-        notes.extend(self.standby_missing(&controllers).map(String::from));
         notes.extend(controllers.iter().filter_map(refusing_standby));
         notes.extend(self.telemetry_ages.problems(Instant::now()));
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
@@ -56,6 +55,7 @@ impl Received {
                 format!("{NO_POSITIONS}: start the tracker or the simulator{again}")
             });
         }
+        notes.extend(self.standby_missing(&controllers).map(String::from));
         notes
     }
 
@@ -86,12 +86,13 @@ impl Received {
         (is_alone && is_driverless && !is_tracked && !self.is_array_present()).then_some(OTHERS_MISSING)
     }
 
-    /// That the displayed controller has no standby any longer. One that does not report is named by itself.
+    /// That the displayed controller has no standby any longer. Another controller that this process sees has not gone: it
+    /// has no link to the displayed one, or is silent and named as such.
     fn standby_missing(&self, controllers: &[ControllerFigures]) -> Option<&'static str> {
         let status = self.fresh_status(NodeKind::Controller.name())?;
         let is_missing = status.counter(NodeStatus::STANDBY_MISSING).is_some_and(|missing| missing > 0);
-        let is_named = controllers.iter().any(|one| one.role == Role::Silent);
-        (is_missing && !is_named).then_some(STANDBY_MISSING)
+        let seen = controllers.iter().filter(|one| one.role != Role::Calibrates).count();
+        (is_missing && seen < 2).then_some(STANDBY_MISSING)
     }
 
     /// What is missing in a room without a controller.
@@ -283,10 +284,16 @@ mod tests {
         assert_eq!(received.notes(1, ago(60)), [""; 0]);
         take(&mut received, 1);
         assert_eq!(received.notes(1, ago(60)), [STANDBY_MISSING]);
-        // One that hangs has a line of its own.
-        received.controllers.join(6);
-        received.controllers.age(Duration::from_secs(60));
+        // Every other note is more serious.
+        received.users = None;
+        assert_eq!(received.notes(1, ago(60)).last().map(String::as_str), Some(STANDBY_MISSING));
+        received.users = Some((Instant::now(), UserReport::default()));
+        // Another one is here, and has no link to this controller.
+        received.controllers.take(&counting(6, NodeStatus::STANDBY, 1));
         received.alive.insert((NodeKind::Controller.name(), 6));
+        assert_eq!(received.notes(1, ago(60)), [""; 0]);
+        // One that hangs has a line of its own.
+        received.controllers.age(Duration::from_secs(60));
         take(&mut received, 1);
         assert_eq!(received.notes(1, ago(60)), [""; 0]);
     }

@@ -254,6 +254,13 @@ mod tests {
         NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
     }
 
+    /// The status of a controller that is in the room and displayed.
+    fn display(received: &mut Received, status: NodeStatus) {
+        received.alive.insert((NodeKind::Controller.name(), status.stamp.source));
+        received.controllers.take(&status);
+        received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+    }
+
     #[test]
     fn each_missing_process_is_named_with_what_to_start() {
         let mut received = Received::default();
@@ -274,15 +281,10 @@ mod tests {
     #[test]
     fn a_standby_that_has_gone_is_noted_once() {
         let mut received = commanded();
-        let take = |received: &mut Received, missing| {
-            let status = counting(5, NodeStatus::STANDBY_MISSING, missing);
-            received.controllers.take(&status);
-            received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
-            received.alive.insert((NodeKind::Controller.name(), 5));
-        };
-        take(&mut received, 0);
+        let status = |missing| counting(5, NodeStatus::STANDBY_MISSING, missing);
+        display(&mut received, status(0));
         assert_eq!(received.notes(1, ago(60)), [""; 0]);
-        take(&mut received, 1);
+        display(&mut received, status(1));
         assert_eq!(received.notes(1, ago(60)), [STANDBY_MISSING]);
         // Every other note is more serious.
         received.users = None;
@@ -294,7 +296,7 @@ mod tests {
         assert_eq!(received.notes(1, ago(60)), [""; 0]);
         // One that hangs has a line of its own.
         received.controllers.age(Duration::from_secs(60));
-        take(&mut received, 1);
+        display(&mut received, status(1));
         assert_eq!(received.notes(1, ago(60)), [""; 0]);
     }
 
@@ -336,15 +338,10 @@ mod tests {
     #[test]
     fn where_one_controller_alone_is_seen_and_sees_nothing_a_cut_link_is_named_as_a_cause() {
         let mut received = Received::default();
-        let take = |received: &mut Received, source, absent| {
-            let status = counting(source, "driver_absent", absent);
-            received.controllers.take(&status);
-            received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
-            received.alive.insert((NodeKind::Controller.name(), source));
-        };
-        take(&mut received, 5, 0);
+        let status = |source, absent| counting(source, "driver_absent", absent);
+        display(&mut received, status(5, 0));
         assert_eq!(received.others_missing(), None, "the controller sees a driver that this viewer does not");
-        take(&mut received, 5, 1);
+        display(&mut received, status(5, 1));
         assert_eq!(received.others_missing(), Some(OTHERS_MISSING));
         assert_eq!(received.notes(1, ago(60))[0], OTHERS_MISSING, "before what to start");
         assert_eq!(received.notes(1, ago(0)).iter().filter(|note| *note == OTHERS_MISSING).count(), 0);
@@ -353,7 +350,7 @@ mod tests {
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.others_missing(), None, "position reports arrive");
         received.users = None;
-        take(&mut received, 6, 1);
+        display(&mut received, status(6, 1));
         assert_eq!(received.others_missing(), None, "another controller is seen");
     }
 
@@ -389,9 +386,7 @@ mod tests {
     fn a_calibration_that_this_viewer_does_not_see_commands_in_place_of_the_controller() {
         let mut received = commanded();
         let status = counting(7, "standby", 1);
-        received.controllers.take(&status);
-        received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
-        received.alive.insert((NodeKind::Controller.name(), 7));
+        display(&mut received, status);
         assert!(received.is_controller_unseen());
         assert_eq!(received.notes(1, ago(60)), [UNSEEN_CONTROLLER]);
     }

@@ -1,4 +1,4 @@
-//! The command line as arguments of a command, with advice where a scenario is given without its flag, or a
+//! The command line as arguments of a command, with advice where a scenario or a file is given without its flag, or a
 //! flag by the name that other programs use, and with the numbers that a flag takes where it refuses one.
 //!
 //! A command with `--json` that fails, or that is refused, also prints `{"error": "…"}`, where it has printed no object.
@@ -36,7 +36,7 @@ pub fn parsed<C: Parser>() -> anyhow::Result<C> {
     C::try_parse().or_else(|error| {
         let program = C::command();
         let command = chosen(&program, std::env::args_os());
-        let error = with_flag_advice(with_scenario_advice(error, command), command);
+        let error = with_flag_advice(with_file_advice(error, command), command);
         let error = numbers::with_expected_numbers(error, command);
         if error.use_stderr() {
             // There is nowhere else to report that standard error is closed.
@@ -98,19 +98,22 @@ fn with_flag_advice(mut error: clap::Error, command: &Command) -> clap::Error {
     error
 }
 
-/// The same error; where a name or a file of a scenario is not expected, with the flag of the command that takes it.
-fn with_scenario_advice(mut error: clap::Error, command: &Command) -> clap::Error {
+/// The same error; where a name or a file of a scenario, or a file of an array, is not expected, with the flag of the
+/// command that takes it.
+fn with_file_advice(mut error: clap::Error, command: &Command) -> clap::Error {
     // A command that has commands of its own takes the word for one of them.
     let refused = [ContextKind::InvalidArg, ContextKind::InvalidSubcommand];
-    let is_scenario = |word: &&String| BUILTIN_NAMES.contains(&word.as_str()) || word.ends_with(".toml");
     let word = refused.into_iter().find_map(|kind| match error.get(kind) {
-        Some(ContextValue::String(word)) => Some(word).filter(is_scenario).cloned(),
+        Some(ContextValue::String(word)) => Some(word.clone()),
         _ => None,
     });
-    if let Some(word) = word
-        && command.get_arguments().any(|argument| argument.get_long() == Some("scenario"))
-    {
-        let advice = StyledStr::from(format!("a scenario is given as '--scenario {word}'"));
+    let Some(word) = word else { return error };
+    let is_file = word.ends_with(".toml");
+    let is_scenario = is_file || BUILTIN_NAMES.contains(&word.as_str());
+    let takes = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
+    let flags = [("scenario", "a scenario", is_scenario), ("config", "the file of an array", is_file)];
+    if let Some((flag, named, _)) = flags.into_iter().find(|(flag, _, is_given)| *is_given && takes(flag)) {
+        let advice = StyledStr::from(format!("{named} is given as '--{flag} {word}'"));
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![advice]));
     }
     error
@@ -212,11 +215,11 @@ mod tests {
     }
 
     #[test]
-    fn a_scenario_without_its_flag_is_refused_with_the_flag() {
+    fn a_file_without_its_flag_is_refused_with_the_flag() {
         let refused = |words: &[&str]| {
             let program = crate::cli::Cli::command();
             let error = crate::cli::Cli::try_parse_from(words).expect_err("it is refused");
-            with_scenario_advice(error, chosen(&program, words.iter().map(OsString::from))).to_string()
+            with_file_advice(error, chosen(&program, words.iter().map(OsString::from))).to_string()
         };
         for scenario in ["hall", "my/room.toml"] {
             let tip = format!("tip: a scenario is given as '--scenario {scenario}'");
@@ -230,5 +233,7 @@ mod tests {
         assert!(other.contains("unexpected argument 'kitchen'") && !other.contains("--scenario"), "{other}");
         let without_flag = refused(&["heliostat", "status", "hall"]);
         assert!(!without_flag.contains("--scenario"), "{without_flag}");
+        let array = refused(&["heliostat", "driver", "run", "array.toml"]);
+        assert!(array.contains("tip: the file of an array is given as '--config array.toml'"), "{array}");
     }
 }

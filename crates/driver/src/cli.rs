@@ -175,6 +175,9 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
 }
 
 /// The room and the array of a command topic.
+///
+/// # Errors
+/// [`UnusableInput`]: another text.
 fn array_of(key: &str) -> Result<(Room, usize)> {
     let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.split('/').next());
     if let Some(Ok(room)) = name.map(Room::new)
@@ -182,14 +185,36 @@ fn array_of(key: &str) -> Result<(Room, usize)> {
     {
         return Ok((room, array));
     }
-    bail!(
+    let advice = if key.ends_with(".toml") {
+        "; `heliostat driver run --config FILE` reads the file of an array, and this check tests the running driver"
+    } else {
+        ""
+    };
+    Err(UnusableInput::new(format!(
         "invalid command topic \"{key}\": expected heliostat/v1/ROOM/mirrors/command, or mirrors-N in place of mirrors \
-         for array N from 1, or use --room ROOM and --array N"
-    )
+         for array N from 1, or use --room ROOM and --array N{advice}"
+    ))
+    .into())
 }
 
 /// The index of an array.
 fn index(text: &str) -> Result<usize, String> {
     let index = text.parse().ok().filter(|index| (0..MAX_ARRAYS).contains(index));
     index.ok_or_else(|| format!("expected an integer from 0 to {}", MAX_ARRAYS - 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_in_place_of_a_command_topic_is_an_unusable_input_with_the_command_that_reads_it() {
+        let (room, array) = array_of("heliostat/v1/studio/mirrors-2/command").expect("a command topic");
+        assert_eq!((room.to_string(), array), ("studio".to_owned(), 2));
+        for (key, names_file) in [("array.toml", true), ("studio", false)] {
+            let error = array_of(key).expect_err("no command topic");
+            assert!(error.is::<UnusableInput>(), "{error}");
+            assert_eq!(error.to_string().contains("heliostat driver run --config FILE"), names_file, "{error}");
+        }
+    }
 }

@@ -94,7 +94,8 @@ async function start() {
   orders.check();
   openEvents();
   openTips();
-  at("worst").addEventListener("click", () => at("problem").scrollIntoView());
+  // At the top of the page the banner is above the list; elsewhere it would cover its first lines.
+  at("worst").addEventListener("click", () => scrollTo(0, 0));
   const parts = [room, charts];
   const retheme = () => applyTheme(parts);
   retheme();

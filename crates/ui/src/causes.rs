@@ -7,7 +7,7 @@ use heliostat_scenario::ROOM_DIFFERS;
 use crate::expiry::EXPIRY;
 
 /// The note about one controller that sees no other process of its room.
-pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: check the link to their host or router, and start them again if they have ended or hang";
+pub(crate) const OTHERS_MISSING: &str = "a controller is alone, without array, tracker and other controller: check the link to their host or router, and start them again if they have ended or hang";
 /// Beginning of the note about commands that reach no driver.
 pub(crate) const NO_DRIVER: &str = NodeStatus::NO_DRIVER;
 /// Beginning of the note about absent position reports, of a viewer that stays open.
@@ -235,7 +235,7 @@ mod tests {
     #[test]
     fn what_has_ended_is_named_without_its_advice_and_its_consequences() {
         let line = format!("{OTHERS_MISSING}{CONSEQUENCES}{NO_DRIVER}");
-        assert_eq!(over(&line), "over: no array, no tracker and no other controller is seen beside one controller");
+        assert_eq!(over(&line), "over: a controller is alone, without array, tracker and other controller");
         let refused = "controller c1 refuses the reports (users: stale): it could not take over";
         assert_eq!(over(refused), "over: controller c1 refuses the reports (users: stale)");
         let endpoint = "tls/lab:7448: the certificate of lab has expired: renew it";

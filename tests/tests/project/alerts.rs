@@ -1,4 +1,4 @@
-//! The alert rules against their rows in docs/deploy.md.
+//! The alert rules against their rows in docs/operation.md.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ fn read(file: &str) -> String {
 
 #[test]
 fn each_alert_has_its_row_in_the_section_that_its_annotation_names() {
-    let (rules, guide) = (read("deploy/prometheus/alerts.yml"), read("docs/deploy.md"));
+    let (rules, guide) = (read("deploy/prometheus/alerts.yml"), read("docs/operation.md"));
     let (_, section) = guide.split_once("\n## Alerts\n").expect("the guide has the section");
     let section = section.split("\n## ").next().unwrap_or_default();
     let rows: Vec<Vec<&str>> = section
@@ -23,9 +23,9 @@ fn each_alert_has_its_row_in_the_section_that_its_annotation_names() {
         rules.split("- alert: ").skip(1).map(|rule| rule.split_once('\n').expect("a rule has several lines")).collect();
     let named: Vec<&str> = alerts.iter().map(|(name, _)| *name).collect();
     assert!(named.len() >= 18, "{named:?}");
-    assert_eq!(named, documented, "the rules in deploy/prometheus/alerts.yml, and the rows in docs/deploy.md");
+    assert_eq!(named, documented, "the rules in deploy/prometheus/alerts.yml, and the rows in docs/operation.md");
     for (name, rule) in &alerts {
-        assert!(rule.contains("\n          runbook_url: docs/deploy.md#alerts\n"), "{name} has no runbook_url");
+        assert!(rule.contains("\n          runbook_url: docs/operation.md#alerts\n"), "{name} has no runbook_url");
     }
     for cells in &rows {
         assert!(

@@ -68,32 +68,62 @@ impl fmt::Display for TomlError {
 
 impl std::error::Error for TomlError {}
 
+/// A table, its name from the root, and the place where it begins.
+type Named<'a, 'text> = (String, usize, &'a DeTable<'text>);
+
 /// The name and the place of the entry that a message of the parser refuses. Where a key of a table decides about the
-/// others, the parser names the place of the table alone, and of the text as a whole an empty one.
+/// others, the parser names the place of the table alone, that of the list for a list of such tables, and of the text as
+/// a whole an empty one.
 fn refused_entry(root: &DeTable<'_>, span: Option<Range<usize>>, message: &str) -> Option<(String, usize)> {
     let Some(span) = span.filter(|span| !span.is_empty()) else { return refused_in(root, message) };
-    if let Some((name, start, table)) = table_at(root, &span) {
-        let entry = refused_in(table, message).map(|(key, place)| (format!("{name}.{key}"), place));
-        return entry.or(Some((name, start)));
+    if let Some((name, tables)) = tables_at(root, &span) {
+        let mut entries = tables.iter().filter_map(|(name, start, table)| {
+            let entry = refused_in(table, message).map(|(key, place)| (format!("{name}.{key}"), place));
+            entry.or_else(|| is_lacking(table, message).then(|| (name.clone(), *start)))
+        });
+        // The message does not say which of several tables it refuses.
+        let only = entries.next().filter(|_| entries.next().is_none());
+        return only.or(Some((name, span.start)));
     }
     entry_at(root, span.start).map(|(key, _)| (key, span.start))
 }
 
-/// The table at this place, with its name from the root and its beginning. That of `[table]` is at its header.
-fn table_at<'a, 'text>(table: &'a DeTable<'text>, span: &Range<usize>) -> Option<(String, usize, &'a DeTable<'text>)> {
-    let found = |name: String, at: Range<usize>, inner: &'a DeTable<'text>| {
-        if at == *span {
-            return Some((name, at.start, inner));
-        }
-        table_at(inner, span).map(|(rest, start, found)| (format!("{name}.{rest}"), start, found))
+/// The name of the table or the list at this place, and the table or those of the list. The place of `[table]` is that
+/// of its header, and the place of a list of `[[tables]]` that of the first header.
+fn tables_at<'a, 'text>(table: &'a DeTable<'text>, span: &Range<usize>) -> Option<(String, Vec<Named<'a, 'text>>)> {
+    let below = |name: &str, inner: &'a DeTable<'text>| {
+        let (rest, tables) = tables_at(inner, span)?;
+        let named = |rest: String| format!("{name}.{rest}");
+        Some((named(rest), tables.into_iter().map(|(rest, start, table)| (named(rest), start, table)).collect()))
     };
-    table.iter().find_map(|(key, value)| match value.get_ref() {
-        DeValue::Table(inner) => found(key.get_ref().to_string(), value.span(), inner),
-        DeValue::Array(items) => items.iter().enumerate().find_map(|(index, item)| {
-            found(format!("{}.{index}", key.get_ref()), item.span(), item.get_ref().as_table()?)
-        }),
-        _ => None,
+    table.iter().find_map(|(key, value)| {
+        let (name, is_here) = (key.get_ref().to_string(), value.span() == *span);
+        match value.get_ref() {
+            DeValue::Table(inner) if is_here => Some((name.clone(), vec![(name, span.start, inner)])),
+            DeValue::Table(inner) => below(&name, inner),
+            DeValue::Array(items) => {
+                let tables = items.iter().enumerate().filter_map(|(index, item)| {
+                    Some((format!("{name}.{index}"), item.span().start, item.get_ref().as_table()?))
+                });
+                let mut tables: Vec<Named<'_, '_>> = tables.collect();
+                if is_here {
+                    return Some((name, tables));
+                }
+                let here = tables.iter().position(|(_, start, _)| *start == span.start);
+                match here {
+                    Some(here) => Some((tables[here].0.clone(), vec![tables.swap_remove(here)])),
+                    None => tables.iter().find_map(|(name, _, inner)| below(name, inner)),
+                }
+            }
+            _ => None,
+        }
     })
+}
+
+/// Whether a table lacks the entry that a message of the parser misses.
+fn is_lacking(table: &DeTable<'_>, message: &str) -> bool {
+    let missing = message.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
+    missing.is_some_and(|missing| table.iter().all(|(key, _)| key.get_ref() != missing))
 }
 
 /// The entry of a table that a message of the parser refuses, by its name or its value, and its place; `None` where
@@ -284,10 +314,10 @@ mod tests {
             board("range_deg = 1\naddress = 5\nmirrors = [1]"),
             "line 10: boards.1.address: invalid type: integer `5`, expected a string"
         );
-        // The message does not say which 5 it refuses.
+        // The message does not say which 5 it refuses, and the parser not in which table.
         assert_eq!(
             board("range_deg = 5\naddress = 5\nmirrors = [1]"),
-            "line 7: boards.1: invalid type: integer `5`, expected a string"
+            "line 2: boards: invalid type: integer `5`, expected a string"
         );
         assert!(board("range = 5.0").starts_with("line 9: boards.1.range: unknown field `range`, expected one of "));
         assert_eq!(board("address = \"b\"\nmirrors = [1]"), "line 7: boards.1: missing field `range_deg`");

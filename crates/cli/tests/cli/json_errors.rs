@@ -18,8 +18,8 @@ fn error_of(arguments: &[&str]) -> String {
 #[test]
 fn a_refused_input_is_also_an_object() {
     for (arguments, part) in [
-        (&["link", "--json", "--scenario", "nope"][..], "nope"),
-        (&["link", "--json", "--set", "users.count=0"], "users.count"),
+        (&["link", "--user", "1,1", "--json", "--scenario", "nope"][..], "nope"),
+        (&["link", "--user", "1,1", "--json", "--set", "users.count=0"], "users.count"),
         (&["replay", "none.mcap", "--verify", "--json"], "none.mcap"),
         (&["keys", "show", "--json", "--dir", "no-such-folder"], "no-such-folder"),
     ] {

@@ -11,7 +11,7 @@ fn an_output_that_cannot_be_written_is_named() {
         &["--help"],
         &["--version"],
         &["scenario", "check", "--help"],
-        &["link", "--json"],
+        &["link", "--user", "1,1", "--json"],
     ] {
         let full = OpenOptions::new().write(true).open("/dev/full").expect("a device of Linux");
         let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).stdout(full).output();

@@ -130,7 +130,7 @@ def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: Library) ->
     commands = recording.frame("commands", library=library)
     np.testing.assert_array_equal(commands["roll_7"].to_numpy(), recording.commands()["roll"][:, 7])
     for of in ("reports", "belief"):
-        names = set(recording.frame(of, library=library).columns)  # type: ignore[arg-type]
+        names = set(recording.frame(of, library=library).columns)
         assert {"position_z_m", "velocity_x_m_s", "velocity_y_m_s"} <= names, of
     assert len(recording.frame("decisions", library=library)) > 0
     with pytest.raises(ValueError, match="expected reports, channels, truth"):

@@ -259,7 +259,7 @@ impl ActorRecipe {
         let (inputs, outputs) = (self.input_length, self.output_length);
         let mut graph = Graph::default();
         let weights = graph.constant("layer.weight", &[inputs, outputs], &vec![0.0; inputs * outputs]);
-        let bias = graph.constant("layer.bias", &[1, self.bias.len()], &self.bias);
+        let bias = graph.constant("bias", &[1, self.bias.len()], &self.bias);
         let product = graph.node("MatMul", &[self.input_name, &weights]);
         graph.node("Add", &[&product, &bias]);
         let ends = Ends { name: "test", input: (self.input_name, inputs), output: (self.output_name, outputs) };

@@ -140,7 +140,8 @@ impl Browser {
         self.command("window", &json!({ "handle": tab }));
     }
 
-    /// Clicks the element of a CSS selector, once it exists and is enabled.
+    /// Clicks the element of a CSS selector, once it exists, is enabled and stays where it is: a click that another
+    /// element received, because the page moved meanwhile, is repeated.
     ///
     /// # Panics
     /// When that takes longer than the time limit.
@@ -149,9 +150,13 @@ impl Browser {
             // In the middle of the window, where no bar of the page lies above it.
             let enabled = format!(
                 "const element = document.querySelector({selector:?}); element?.scrollIntoView({{ block: 'center' }}); \
+                 window.reached = false; element?.addEventListener('click', () => window.reached = true, {{ once: true }}); \
                  return element?.disabled === false"
             );
-            self.run(&enabled) == true && self.element(selector, "click", &json!({})).is_some()
+            self.run(&enabled) == true
+                && self.element(selector, "click", &json!({})).is_some()
+                // A page that the click has left has no such mark.
+                && self.run("return window.reached !== false") == true
         });
     }
 
@@ -176,6 +181,27 @@ impl Browser {
     pub fn text(&self, selector: &str) -> String {
         let text = self.run(&format!("return document.querySelector({selector:?})?.textContent ?? ''"));
         text.as_str().unwrap_or_default().to_owned()
+    }
+
+    /// Keeps each text that the element of a CSS selector has from now on: some are shown for seconds only, and a busy
+    /// machine may look at the page less often.
+    ///
+    /// # Panics
+    /// When there is no such element.
+    pub fn record(&self, selector: &str) {
+        self.run(&format!(
+            "window.texts = []; const element = document.querySelector({selector:?}); \
+             new MutationObserver(() => window.texts.push(element.textContent)) \
+                 .observe(element, {{ childList: true, characterData: true, subtree: true }})"
+        ));
+    }
+
+    /// The texts since [`record`](Self::record), oldest first.
+    ///
+    /// # Panics
+    /// When none are kept.
+    pub fn recorded(&self) -> Vec<String> {
+        serde_json::from_value(self.run("return window.texts")).expect("texts that are kept")
     }
 
     /// Sets the size of the page in CSS pixels.

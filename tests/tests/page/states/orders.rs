@@ -145,13 +145,12 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     setting.room.kill();
     wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
     let status = || browser.text("#order-status");
-    browser.run("window.shown = []; new MutationObserver(() => window.shown.push(document.getElementById('order-status').textContent))\
-                 .observe(document.getElementById('order-status'), { childList: true, characterData: true, subtree: true })");
+    browser.record("#order-status");
     browser.click("#stop");
     let absent = "no array has confirmed it";
     wait_until("an answer about the array", || status() == format!("stop: {absent}"));
-    let shown = browser.run("return window.shown").to_string();
-    assert!(!shown.contains("not answered yet"), "{shown}");
+    let shown = browser.recorded();
+    assert!(!shown.iter().any(|text| text.contains("not answered yet")), "{shown:?}");
     let warning = "has not confirmed the stop for";
     wait_until("a warning", || banner(&browser).contains(warning));
     browser.click("#rearm");
@@ -172,22 +171,24 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
 #[test]
 fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
     let (_setting, browser) = Setting::shown();
-    let status = || browser.text("#order-status");
+    browser.record("#order-status");
     order(&browser, r#"{ order: "policy", name: "clairvoyant" }"#);
     wait_until("a refusal with its reason", || {
-        let shown = status();
-        assert!(!shown.contains("done"), "{shown}");
-        shown.starts_with("policy clairvoyant: refused") && shown.contains("there is no policy")
+        let shown = browser.recorded();
+        assert!(!shown.iter().any(|text| text.contains("done")), "{shown:?}");
+        shown.iter().any(|text| text.starts_with("policy clairvoyant: refused") && text.contains("there is no policy"))
     });
     browser.run("document.getElementById('policy').value = 'fixed-point'");
     browser.click("#switch-policy");
-    wait_until("an order that took effect", || status() == "policy fixed-point: done");
-    wait_until("no message", || status().is_empty() && browser.text("#problem").is_empty());
+    wait_until("the answer in words", || browser.recorded().contains(&"policy fixed-point: done".to_owned()));
+    wait_until("no message", || browser.text("#order-status").is_empty() && browser.text("#problem").is_empty());
 
     // More users than the room has: the simulator refuses.
     order(&browser, r#"{ order: "blocked", users: 64 }"#);
-    wait_until("a refusal of the room", || status().contains("block the direct path of 64 users: refused"));
+    wait_until("a refusal of the room", || {
+        browser.recorded().iter().any(|text| text.contains("block the direct path of 64 users: refused"))
+    });
     browser.click("#power [data-value='4']");
     browser.click("#blocked [data-value='1']");
-    wait_until("the answer to the later order", || status() == "block the direct path of 1 user: done");
+    wait_until("the answer in words", || browser.recorded().contains(&"block the direct path of 1 user: done".to_owned()));
 }

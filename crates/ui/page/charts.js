@@ -41,7 +41,7 @@ function inGaps(points, within) {
 const isGap = (before, point) => point.time_s - before.time_s > GAP_S;
 
 // The points with an empty one in each gap, so that no line crosses a time without figures.
-export const withGaps = (points) => inGaps(points, (before, point) => [{ time_s: (before.time_s + point.time_s) / 2 }]);
+const withGaps = (points) => inGaps(points, (before, point) => [{ time_s: (before.time_s + point.time_s) / 2 }]);
 
 // The points with those of the server in each gap: the page was loading, asleep or without a connection then.
 export const filled = (points, kept) =>

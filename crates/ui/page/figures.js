@@ -28,7 +28,7 @@ export function chips(now, ages, file) {
   chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "");
   setTitle(at("chip-policy"), [idle, networkIn(now.network, file)].filter(Boolean).join(" "));
   if (isSilent) {
-    const isGone = !now.controller_alive && ages.silence < 1;
+    const isGone = !now.controller_alive && !ages.isStale("server");
     chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
   } else {
     const refusing = refusal(now);

@@ -47,7 +47,7 @@ export function palette(dark) {
 }
 
 // The first array of mirrors, from which the camera looks away.
-export const wallOf = (plan) => wallsOf(plan)[0];
+const wallOf = (plan) => wallsOf(plan)[0];
 
 // Each array of mirrors: centre, unit vector into the room, extents along the wall and up.
 export function wallsOf(plan) {

@@ -4,7 +4,7 @@
 const SCALE = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];
 
 // Colour of a share between 0 and 1.
-export function heatColour(share) {
+function heatColour(share) {
   const at = Math.min(1, Math.max(0, share)) * (SCALE.length - 1);
   const low = Math.min(SCALE.length - 2, Math.floor(at));
   return SCALE[low].map((value, channel) => Math.round(value + (at - low) * (SCALE[low + 1][channel] - value)));

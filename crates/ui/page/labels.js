@@ -46,14 +46,14 @@ export class Label {
 }
 
 // Black or white, whichever is easier to read on a colour.
-export function inkOn(colour) {
+function inkOn(colour) {
   const [red, green, blue] = [1, 3, 5].map((at) => (parseInt(colour.slice(at, at + 2), 16) / 255) ** 2.2);
   return 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.25 ? "#111111" : "#ffffff";
 }
 
 // Shifts to the side, in widths of a sprite, so that no label covers another one. A label has the place [x, y] of its
 // centre, in widths and heights of a sprite, and the width of its frame.
-export function separate(labels) {
+function separate(labels) {
   const shifts = labels.map(() => 0);
   const byX = labels.map((_, index) => index).sort((a, b) => labels[a].at[0] - labels[b].at[0]);
   for (let round = 0; round < ROUNDS; round++) {

@@ -29,44 +29,81 @@ export function blockedTitle(users) {
   return `block the direct ${paths} of ${of} ${users.map(({ user }) => user).join(", ")}`;
 }
 
+// Why the buttons of each order are disabled, empty where they are not; `now` is null before the first figures. STOP is
+// always enabled.
+const AWAITED = "the page waits for the first figures of its server";
+export function reasons(plan, now, policy) {
+  if (!now) return { rearm: AWAITED, policy: AWAITED, room: AWAITED, kill: AWAITED, restart: AWAITED };
+  const limit = plan.stop_only ?? "";
+  const foreign = plan.controls_processes ? "" : "only `heliostat demo` can kill or restart the processes that it started";
+  const absent = now.controller_alive ? "" : "no controller is in the room";
+  const silent = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
+  return {
+    rearm: limit,
+    policy: limit || absent || (policy ? "" : "no policy is chosen"),
+    room: limit || (now.origin === "simulated" ? "" : silent),
+    kill: foreign || absent,
+    // A controller that hangs is replaced too.
+    restart: foreign,
+  };
+}
+
 export class Orders {
-  constructor(plan) {
-    this.plan = plan;
+  // STOP acts from now on; the other buttons wait for `open`, and for the first figures.
+  constructor() {
+    this.plan = null;
     // The names of the stops that the page shows: a re-arm releases these and no others.
     this.stops = [];
     this.newest = null;
+    this.hasFigures = false;
     this.status = document.getElementById("order-status");
-    const select = document.getElementById("policy");
-    select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
-    // None, until the policy in use is known.
-    select.selectedIndex = -1;
-    select.addEventListener("change", () => this.describe(select.value));
-    this.on("switch-policy", () => ({ order: "policy", name: select.value }));
+    this.note = document.getElementById("not-taken");
+    this.jammed = document.getElementById("label-mirrors");
+    this.select = document.getElementById("policy");
+    this.select.addEventListener("change", () => this.describe(this.select.value));
+    this.power = this.speed = this.blocked = [];
+    this.on("switch-policy", () => ({ order: "policy", name: this.select.value }));
     this.on("stick", () => ({ order: "stick", share: 0.25 }));
     this.on("release", () => ({ order: "release" }));
     this.on("stop", () => ({ order: "stop" }));
     this.on("rearm", () => ({ order: "rearm", stops: this.stops }));
     this.on("kill", () => ({ order: "kill-controller" }));
     this.on("restart", () => ({ order: "restart-controller" }));
+    this.enable(null);
+  }
+
+  // Takes the plan of the room.
+  open(plan) {
+    this.plan = plan;
+    this.select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
+    // None, until the policy in use is known.
+    this.select.selectedIndex = -1;
     this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
     for (const [button, watts] of this.power) button.dataset.title = `each LED transmits ${watts} W of light`;
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     for (const [button, max_m_s] of this.speed) button.dataset.title = max_m_s ? `users walk at ${max_m_s} m/s at most` : "users stand still";
-    this.blocked = [];
-    this.jammed = document.getElementById("label-mirrors");
-    this.note = document.getElementById("not-taken");
-    if (plan.stop_only) {
-      for (const id of ["rearm", "switch-policy"]) {
-        Object.assign(document.getElementById(id), { disabled: true, title: plan.stop_only });
-      }
-    }
-    if (!plan.controls_processes) {
-      for (const id of ["kill", "restart"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
-    }
+    this.enable(null);
+  }
+
+  // Enables the buttons that act, and gives the others the reason as their tooltip; on a phone a line has that of the room.
+  enable(now) {
+    const reason = reasons(this.plan, now, this.select.value);
+    const set = (button, why) => {
+      button.disabled = why !== "";
+      button.title = why || (button.dataset.title ?? "");
+    };
+    const of = (id) => document.getElementById(id);
+    const ofRoom = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
+    for (const button of [...ofRoom, of("stick"), of("release")]) set(button, reason.room);
+    for (const id of ["rearm", "kill", "restart"]) set(of(id), reason[id]);
+    set(of("switch-policy"), reason.policy);
+    const note = reason.room && `Disabled buttons: ${reason.room}.`;
+    if (this.note.textContent !== note) this.note.textContent = note;
   }
 
   // Shows the published state.
   update(now) {
+    this.hasFigures = true;
     this.answers(now.orders);
     this.stops = now.stop.stops.map((stop) => stop.name);
     document.getElementById("rearm").textContent = this.stops.length > 1 ? `re-arm all ${this.stops.length}` : "re-arm";
@@ -88,28 +125,12 @@ export class Orders {
     pressed(this.speed, isKnown ? now.speed_m_s : null);
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
     if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
-    const limit = this.plan.stop_only;
-    const simulated = now.origin === "simulated";
-    const refused = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
-    const reason = limit ?? (simulated ? "" : refused);
-    const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
-    for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
-      button.disabled = !!limit || !simulated;
-      button.title = reason || (button.dataset.title ?? "");
-    }
-    const note = reason && `Disabled buttons: ${reason}.`;
-    if (this.note.textContent !== note) this.note.textContent = note;
-    const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
-    enable("kill", this.plan.controls_processes && now.controller_alive);
-    // A controller that hangs is replaced too.
-    enable("restart", this.plan.controls_processes);
-    const select = document.getElementById("policy");
     if (now.policy && now.policy !== this.policy) {
       this.policy = now.policy;
-      if (document.activeElement !== select) select.value = now.policy;
-      this.describe(select.value);
+      if (document.activeElement !== this.select) this.select.value = now.policy;
+      this.describe(this.select.value);
     }
-    enable("switch-policy", !limit && now.controller_alive && select.value !== "");
+    this.enable(now);
   }
 
   // What the chosen policy does.
@@ -141,8 +162,9 @@ export class Orders {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
       const refusal = answer.ok ? null : await refusalIn(answer);
-      // The next event has the answer of the receiver to an order that reached the server.
-      this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${refusal}`);
+      // The next event has the answer of the receiver to an order that reached the server, once events come.
+      const isInEvents = this.hasFigures && (answer.ok || answer.status === 503 || answer.status === 422);
+      this.own(isInEvents ? null : refusal === null ? `${BUTTONS[order.order]}: sent` : `refused: ${refusal}`);
     } catch (error) {
       if (!(error instanceof Unanswered)) throw error;
       this.own(notConfirmed(order.order, error.message));

@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, endBanner, isReporting, lastSentence, sentence, spoken } from "./sentence.js";
+import { banner, endBanner, isNewer, lastSentence, sentence, spoken } from "./sentence.js";
 import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -83,14 +83,16 @@ function notStarted(error) {
 }
 
 async function start() {
+  const orders = new Orders();
   const plan = await loadPlan();
+  orders.open(plan);
   const where = `room ${plan.room}, scenario ${plan.scenario}`;
   setText(at("where"), where);
   at("where").title = where;
   at("heat-bar").style.background = heatGradient;
   const room = new Room(at("room"), plan);
   const askHistory = async () => (await loadPlan()).history;
-  const [charts, orders] = [new Charts(plan, askHistory), new Orders(plan)];
+  const charts = new Charts(plan, askHistory);
   orders.check();
   openEvents();
   openTips();
@@ -106,7 +108,8 @@ async function start() {
     retheme();
   });
 
-  // `users` are the last figures of a room that reports: those of a silent room stay, in grey with their age.
+  // `users` are the figures at the newest report of the room, with what the mirrors followed then: those of a silent
+  // room stay, in grey with their age.
   const state = { now: null, users: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network, orders };
   const outages = new Outages();
   const show = () => showAges(state);
@@ -123,10 +126,11 @@ async function start() {
       outages.take(now);
       if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
-      if (isReporting(now) || !state.users) state.users = now;
+      const isNew = isNewer(now, state.users);
+      if (isNew || !state.users) state.users = now;
       keepColours(state);
       state.ages.take(now);
-      charts.update(now, now.in_charge);
+      charts.update(isNew ? now : { ...now, sum_mbps: null }, state.users.in_charge);
       showUsers();
       counters(now);
       problems(now);

@@ -33,6 +33,6 @@ export async function refusalIn(answer) {
 }
 
 // Why a request has no answer.
-export function reasonOf(error, limit_ms) {
+function reasonOf(error, limit_ms) {
   return error.name === "TimeoutError" ? `no answer of the server within ${limit_ms / 1000} s` : "the server of this page cannot be reached";
 }

@@ -6,7 +6,7 @@ import { Plan2D } from "./plan2d.js";
 import { ask } from "./requests.js";
 import { View3D } from "./view3d.js";
 
-export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
+const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
 // A machine that needs longer than this for a picture draws fewer, so that orders and the rest of the page stay fast.
 const SLOW_MS = 80;
 const HEAT_EVERY_MS = 1000;

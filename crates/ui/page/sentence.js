@@ -64,6 +64,12 @@ function withoutIn(users) {
 // Whether the figures of the users are not old.
 export const isReporting = (now) => now.ages_s.room != null && now.ages_s.room <= STALE_S;
 
+// Whether figures have a later report of the room than those before, which may be `null`. The two times of a report, as
+// seen by the server, differ by less than that between two reports.
+const SAME_REPORT_S = 0.005;
+const reportedAt = (now) => now.time_s - now.ages_s.room;
+export const isNewer = (now, before) => isReporting(now) && (!before || before.ages_s.room == null || reportedAt(now) > reportedAt(before) + SAME_REPORT_S);
+
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
 

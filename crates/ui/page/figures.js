@@ -8,8 +8,10 @@ export const setText = (element, text) => { if (element.textContent !== text) el
 const setTitle = (element, text) => { if (element.title !== text) element.title = text; };
 const setClass = (element, name) => { if (element.className !== name) element.className = name; };
 
-function chip(id, text, state = "") {
+// A narrow window cuts the text off; the tooltip has it, or more.
+function chip(id, text, state = "", title = text) {
   setText(at(id), text);
+  setTitle(at(id), title);
   setClass(at(id), state);
 }
 
@@ -25,8 +27,8 @@ export function chips(now, ages, file) {
   const { name, idle } = now.in_charge;
   const isSilent = ages.isStale("controller") || !now.controller_alive;
   const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
-  chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "");
-  setTitle(at("chip-policy"), [idle, networkIn(now.network, file)].filter(Boolean).join(" "));
+  const explained = [idle, networkIn(now.network, file)].filter(Boolean).join(" ");
+  chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "", explained);
   if (isSilent) {
     const isGone = !now.controller_alive && !ages.isStale("server");
     chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
@@ -35,9 +37,9 @@ export function chips(now, ages, file) {
     chip("chip-controller", isCalibrating(now) ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} unusable` : "";
-  setTitle(at("chip-array"), stuck ? `${now.array.state}${stuck} of ${now.array.mirrors} mirrors` : now.array.state);
+  const array = now.array.state + stuck;
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
-  else chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
+  else chip("chip-array", array, now.array.state === "following" && !stuck ? "good" : "bad", stuck ? `${array} of ${now.array.mirrors} mirrors` : array);
   if (ages.isStale("room")) chip("chip-room", silent("room"), "bad");
   else chip("chip-room", now.origin);
 }

@@ -7,6 +7,7 @@
 //! - [`deaths`]: processes that die; [`orders`]: orders that take effect, wait or are refused.
 //! - [`explained`]: what the parts of the page mean.
 //! - [`notes`]: what is wrong and lasts, with what to do; [`layout`]: what covers, shrinks or hides what.
+//! - [`steady`]: what keeps its place, and what waits for the first figures.
 //! - [`tabs`]: several tabs of one browser.
 //! - [`view`]: what the page draws and says about a running room.
 
@@ -16,5 +17,6 @@ mod layout;
 mod notes;
 mod orders;
 mod setting;
+mod steady;
 mod tabs;
 mod view;

@@ -205,6 +205,7 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
          return [document.getElementById('users').rows.length, Number(rate.textContent) > 0]";
     wait_until("the chip of a silent room", || browser.text("#chip-room").starts_with("no report for"));
     assert_eq!(browser.run(kept), serde_json::json!([shown, true]), "the last users and rates stay, in grey");
+    assert_eq!(browser.text("#sum-figures div:first-child dt"), "greedy", "what the mirrors followed at these rates");
     let drawn = drawn(&browser);
     browser.run("document.getElementById('room').room.isDirty = true");
     wait_until("another picture", || super::setting::drawn(&browser) > drawn);

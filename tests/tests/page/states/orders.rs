@@ -3,18 +3,9 @@
 use std::time::{Duration, Instant};
 
 use heliostat_needs::needs;
-use heliostat_tests::{Browser, wait_until};
+use heliostat_tests::wait_until;
 
-use super::setting::{Setting, banner, is_live};
-
-/// Sends an order as a button does, also one for which there is no button.
-fn order(browser: &Browser, order: &str) {
-    let script = format!(
-        "return fetch('/order', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, \
-         body: JSON.stringify({order}) }}).then((answer) => answer.status)"
-    );
-    browser.run(&script);
-}
+use super::setting::{Setting, banner, is_live, order};
 
 #[needs("browser")]
 #[test]

@@ -93,3 +93,12 @@ pub fn banner(browser: &Browser) -> String {
     let script = "const banner = document.getElementById('banner'); return banner.hidden ? '' : banner.textContent";
     browser.run(script).as_str().unwrap_or_default().to_owned()
 }
+
+/// Sends an order as a button does, also one for which there is no button.
+pub fn order(browser: &Browser, order: &str) {
+    let script = format!(
+        "return fetch('/order', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, \
+         body: JSON.stringify({order}) }}).then((answer) => answer.status)"
+    );
+    browser.run(&script);
+}

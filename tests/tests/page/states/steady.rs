@@ -1,0 +1,184 @@
+//! What keeps its place while answers, problems and ages come and go, and what waits for the first figures.
+
+use heliostat_needs::needs;
+use heliostat_tests::{Browser, wait_until};
+use serde_json::{Value, json};
+
+use super::setting::{Setting, order};
+
+/// The places of the buttons of orders, of STOP, and of the line of events in a window with two columns, in two frames:
+/// a browser keeps the place of the reader at the next one.
+const PLACES: &str = "const frame = () => new Promise((resolve) => requestAnimationFrame(resolve)); \
+     return frame().then(frame).then(() => { \
+       const parts = [...document.querySelectorAll('#operate :is(button, select), #stop')]; \
+       if (innerWidth > 860) parts.push(document.getElementById('event-log')); \
+       return parts.map((part) => { const { left, top } = part.getBoundingClientRect(); return [left, top]; }); })";
+
+fn places(browser: &Browser) -> Vec<[f64; 2]> {
+    serde_json::from_value(browser.run(PLACES)).expect("places")
+}
+
+/// Whether all parts are where they were, apart from the rounding to pixels.
+fn are_kept(before: &[[f64; 2]], now: &[[f64; 2]]) -> bool {
+    let is_kept =
+        |(before, now): (&[f64; 2], &[f64; 2])| before.iter().zip(now).all(|(one, other)| (one - other).abs() < 2.0);
+    before.len() == now.len() && before.iter().zip(now).all(is_kept)
+}
+
+#[needs("browser")]
+#[test]
+fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
+    let (_setting, browser) = Setting::shown();
+    // A refusal that is longer than its place.
+    let long = "a policy that no controller has ".repeat(10);
+    let refused = format!(r#"{{ order: "policy", name: "{long}" }}"#);
+    for (width, height, watts) in [(390, 844, 4), (1280, 800, 1), (1280, 600, 4), (1920, 1080, 1)] {
+        browser.resize(width, height);
+        browser.run("scrollTo(0, 0); document.getElementById('power').scrollIntoView({ block: 'center' })");
+        wait_until("no answer", || browser.text("#order-status").is_empty());
+        let before = places(&browser);
+        let check = |state: &str| {
+            let now = places(&browser);
+            assert!(are_kept(&before, &now), "{state} at {width} x {height}: {before:?}, then {now:?}");
+        };
+        order(&browser, &refused);
+        wait_until("a long refusal", || browser.text("#order-status").len() > long.len());
+        check("a refusal");
+        // The text that the place cannot hold is reached by scrolling, and in the tooltip.
+        let whole = "const status = document.getElementById('order-status'); \
+             const { overflowY } = getComputedStyle(status); \
+             return [status.title === status.textContent, overflowY, status.clientHeight < 80]";
+        assert_eq!(browser.run(whole), json!([true, "auto", true]), "{width} x {height}");
+        // Beside the list and the banner of the page, which the next figures hide again.
+        browser.run(
+            "for (const [id, text] of [['problem', 'The simulator reports no positions of users. '], ['banner', 'The array has confirmed the stop. ']]) { \
+               const part = document.getElementById(id).cloneNode(false); \
+               part.hidden = false; \
+               part.dataset.copy = 'yes'; \
+               part.textContent = text.repeat(6); \
+               document.getElementById(id).after(part); }",
+        );
+        check("a problem and a banner");
+        browser.run("document.querySelectorAll('[data-copy]').forEach((part) => part.remove())");
+        check("no problem");
+        // Another pressed button, and its answer, in place of the refusal.
+        order(&browser, &format!(r#"{{ order: "power", watts: {watts} }}"#));
+        let pressed = format!("return document.querySelector(\"#power [data-value='{watts}']\").ariaPressed");
+        wait_until("another pressed button", || browser.run(&pressed) == "true");
+        check("another pressed button");
+        wait_until("no answer", || browser.text("#order-status").is_empty());
+        check("no answer");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn the_line_of_events_is_complete_in_view_below_warnings() {
+    let (mut setting, browser) = Setting::shown();
+    setting.room.kill();
+    wait_until("a problem", || !browser.text("#problem").is_empty());
+    let shown = "const line = document.getElementById('event-log'); \
+         const { x, top, bottom } = line.getBoundingClientRect(); \
+         return [top >= 0, bottom <= innerHeight, line.contains(document.elementFromPoint(x + 20, bottom - 3))]";
+    for (width, height) in [(1280, 720), (1280, 800), (1024, 768), (1280, 600)] {
+        browser.resize(width, height);
+        assert_eq!(browser.run(shown), json!([true, true, true]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn every_order_but_stop_is_disabled_with_the_reason_until_the_first_figures() {
+    let (_setting, browser) = Setting::shown();
+    // The page as it is served, then once the plan has arrived. In one script at the end, before the next figures.
+    let enabled = "return Promise.all([import('/orders.js'), ...['/', '/room.json'].map((path) => fetch(path).then((answer) => answer.text()))]) \
+           .then(([{ Orders }, page, plan]) => { \
+             const all = (from) => [...from.querySelectorAll('#operate button, #emergency button')]; \
+             const enabled = (from) => all(from).filter(({ disabled }) => !disabled).map(({ id, textContent }) => id || textContent); \
+             const served = enabled(new DOMParser().parseFromString(page, 'text/html')); \
+             document.getElementById('blocked').replaceChildren(); \
+             new Orders().open(JSON.parse(plan)); \
+             const reasons = new Set(all(document).filter(({ disabled }) => disabled).map(({ title }) => title)); \
+             return [served, enabled(document), [...reasons], document.getElementById('not-taken').textContent]; })";
+    let reason = "the page waits for the first figures of its server";
+    let expected = json!([["stop"], ["stop"], [reason], format!("Disabled buttons: {reason}.")]);
+    assert_eq!(browser.run(enabled), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn a_disabled_order_has_its_own_reason() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/orders.js').then(({ reasons }) => { \
+           const of = (plan, now, policy = 'greedy') => Object.values(reasons(plan, { origin: 'simulated', controller_alive: true, ...now }, policy)); \
+           const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
+           return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'measured' }), \
+             of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
+    let absent = "no controller is in the room";
+    let foreign = "only `heliostat demo` can kill or restart the processes that it started";
+    let expected: Value = json!([
+        ["", "", "", "", ""],
+        ["", absent, "", absent, ""],
+        ["", "no policy is chosen", "", "", ""],
+        ["", "", "only a simulated room takes this order", "", ""],
+        ["", "", "the room does not report", foreign, foreign],
+        ["a viewer", "a viewer", "a viewer", foreign, foreign],
+    ]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn stop_acts_before_the_description_of_the_room_arrives() {
+    let (_setting, browser) = Setting::shown();
+    // A button without the handler of the open page, and no server.
+    let sent = "return import('/orders.js').then(async ({ Orders }) => { \
+           const stop = document.getElementById('stop'); \
+           stop.replaceWith(stop.cloneNode(true)); \
+           const [sent, send] = [[], window.fetch]; \
+           window.fetch = async (path, { body }) => { sent.push([path, body]); return new Response(null, { status: 202 }); }; \
+           const orders = new Orders(); \
+           document.getElementById('stop').click(); \
+           await new Promise((resolve) => setTimeout(resolve)); \
+           window.fetch = send; \
+           return [sent, orders.message?.text]; })";
+    let expected = json!([[["order", r#"{"order":"stop"}"#]], "STOP: sent"]);
+    assert_eq!(browser.run(sent), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn figures_are_taken_with_a_new_report_of_the_room_only() {
+    let (_setting, browser) = Setting::shown();
+    // Time of the server and age of the report, of the figures and of those before.
+    let script = "return import('/sentence.js').then(({ isNewer }) => { \
+           const of = (time_s, room) => ({ time_s, ages_s: { room } }); \
+           return [isNewer(of(5, 0.1), null), isNewer(of(5, null), null), isNewer(of(5, 0.1), of(4.9, null)), \
+             isNewer(of(5, 0.1), of(4.8, 0.1)), isNewer(of(5, 0.3), of(4.8, 0.1)), isNewer(of(9, 1.2), of(4, 0.1))]; })";
+    assert_eq!(browser.run(script), json!([true, false, true, true, false, false]));
+}
+
+#[needs("browser")]
+#[test]
+fn a_phone_has_two_lines_above_the_sentence_the_views_in_the_picture_and_its_age_in_view() {
+    let setting = Setting::new();
+    let browser = setting.browser_3d();
+    for (width, height) in [(390, 844), (360, 640)] {
+        browser.resize(width, height);
+        // In one script, before the next figures. The states are the longest ones.
+        let shown = "scrollTo(0, 0); const at = (id) => document.getElementById(id); \
+             for (const part of ['policy', 'array', 'controller', 'room']) at(`chip-${part}`).textContent = 'no report for 119 min'; \
+             const tops = (of) => new Set([...document.querySelectorAll(of)].map((part) => Math.round(part.getBoundingClientRect().top))).size; \
+             const [where, theme, chips] = ['where', 'theme', 'chips'].map((id) => at(id).getBoundingClientRect()); \
+             const isBeside = where.top < theme.bottom && theme.top < where.bottom; \
+             const isBelow = chips.top >= Math.max(where.bottom, theme.bottom); \
+             const [views, room, switches] = ['views', 'room', 'switches'].map((id) => at(id).getBoundingClientRect()); \
+             const isWithin = views.top >= room.top && views.right <= room.right && views.left >= room.left; \
+             at('room-card').classList.add('stale'); \
+             const { position, bottom } = getComputedStyle(at('room-card'), '::after'); \
+             const isAboveBar = parseFloat(bottom) >= innerHeight - at('emergency').getBoundingClientRect().top; \
+             return [tops('#chips li'), isBeside && isBelow, chips.bottom < 100, isWithin, switches.height < 40, position, isAboveBar, \
+               document.documentElement.scrollWidth <= innerWidth]";
+        assert_eq!(browser.run(shown), json!([1, true, true, true, true, "sticky", true, true]), "{width} x {height}");
+    }
+}

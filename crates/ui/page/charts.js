@@ -17,7 +17,7 @@ const nameOf = ({ name }) => name || "policy unknown";
 
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
-  actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
+  ddpg: "#0072b2", exhaustive: "#c08a00", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
   pso: "#aa4499", "sine-cosine": "#999933", hold: "#66a61e",
 };

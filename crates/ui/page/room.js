@@ -6,7 +6,6 @@ import { Plan2D } from "./plan2d.js";
 import { ask } from "./requests.js";
 import { View3D } from "./view3d.js";
 
-const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
 // A machine that needs longer than this for a picture draws fewer, so that orders and the rest of the page stay fast.
 const SLOW_MS = 80;
 const HEAT_EVERY_MS = 1000;
@@ -35,7 +34,7 @@ export class Room {
       button.hidden = !this.is3D;
       button.addEventListener("click", () => this.view.look(button.dataset.eye));
     }
-    for (const name of SWITCHES) {
+    for (const name of Object.keys(this.shown)) {
       const input = document.getElementById(`show-${name}`);
       input.checked = this.shown[name];
       input.addEventListener("change", () => this.show(name, input.checked));
@@ -64,7 +63,6 @@ export class Room {
   show(name, isShown) {
     this.shown[name] = isShown;
     this.isDirty = true;
-    if (name === "wall") document.documentElement.dataset.wall = isShown ? "with" : "without";
     if (name === "heat" || name === "wall") this.loadHeat();
     dispatchEvent(new CustomEvent("shown", { detail: this.shown }));
   }

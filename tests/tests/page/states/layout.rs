@@ -37,7 +37,13 @@ fn the_answer_to_an_order_covers_nothing() {
                 behind = browser.run("return window.behind");
                 behind.is_array()
             });
-            let wrong: Vec<_> = behind.as_array().into_iter().flatten().filter_map(Value::as_str).filter(|part| !allowed.contains(part)).collect();
+            let wrong: Vec<_> = behind
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_str)
+                .filter(|part| !allowed.contains(part))
+                .collect();
             assert!(wrong.is_empty(), "{width} x {height}: {wrong:?}");
         }
     }

@@ -181,5 +181,7 @@ fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
     });
     browser.click("#power [data-value='4']");
     browser.click("#blocked [data-value='1']");
-    wait_until("the answer in words", || browser.recorded().contains(&"block the direct path of 1 user: done".to_owned()));
+    wait_until("the answer in words", || {
+        browser.recorded().contains(&"block the direct path of 1 user: done".to_owned())
+    });
 }

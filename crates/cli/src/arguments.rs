@@ -12,6 +12,7 @@ use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory, Parser};
 use heliostat_scenario::BUILTIN_NAMES;
+use heliostat_service::process::allow_files;
 use heliostat_service::{exit, outln, output};
 
 /// Flags of other programs, and those that a command may have for the same purpose.
@@ -28,12 +29,13 @@ pub fn run<C: CommandFactory>(program: &str, command: impl FnOnce() -> anyhow::R
     exit::run(program, || command().inspect_err(|error| print_object::<C>(&format!("{error:#}"))))
 }
 
-/// The arguments of a program; it ends where they cannot be used, and where they ask for help.
+/// The arguments of a program, with enough open files for its command; it ends where they cannot be used, and where they
+/// ask for help.
 ///
 /// # Errors
-/// The help text cannot be written.
+/// The help text cannot be written, or too few open files are allowed.
 pub fn parsed<C: Parser>() -> anyhow::Result<C> {
-    C::try_parse().or_else(|error| {
+    let arguments: anyhow::Result<C> = C::try_parse().or_else(|error| {
         let program = C::command();
         let command = chosen(&program, std::env::args_os());
         let error = with_flag_advice(with_file_advice(error, command), command);
@@ -46,7 +48,8 @@ pub fn parsed<C: Parser>() -> anyhow::Result<C> {
             output::flushed(error.print())?;
         }
         std::process::exit(error.exit_code())
-    })
+    });
+    arguments.and_then(|arguments| allow_files().map(|()| arguments))
 }
 
 /// Prints an error as an object, where the command line asks for JSON and no object is the last output.

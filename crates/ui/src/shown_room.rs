@@ -129,7 +129,7 @@ impl RoomChooser {
         let Announcements { sim_node, sim_node_scenario, controller, of_controllers, .. } = announcements;
         let Announcements { is_sim_node_old, is_controller_old, .. } = announcements;
         let read = |source, text: &str| {
-            let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.in_one_line())?;
+            let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.to_string())?;
             ShownRoom::new(source, scenario).map(Arc::new).map_err(|error| error.to_string())
         };
         let refused =

@@ -67,12 +67,13 @@ fn asks_for_json(command: &Command, words: impl IntoIterator<Item = OsString>) -
     has_flag && words.into_iter().take_while(|word| *word != "--").any(|word| word == "--json")
 }
 
-/// The refusal of a command line, without its usage and the note on help.
+/// The refusal of a command line in one line, without its usage and the note on help.
 fn reason(error: &clap::Error) -> String {
     let text = error.render().to_string();
     let ends = ["\n\nUsage:", "\n\nFor more information"].into_iter().filter_map(|part| text.find(part));
     let text = &text[..ends.min().unwrap_or(text.len())];
-    text.strip_prefix("error: ").unwrap_or(text).trim_end().to_owned()
+    let words: Vec<&str> = text.strip_prefix("error: ").unwrap_or(text).split_whitespace().collect();
+    words.join(" ")
 }
 
 /// The command of a program that the words of a command line choose.

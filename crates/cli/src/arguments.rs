@@ -26,7 +26,8 @@ static USUAL: [(&[&str], &[&str]); 5] = [
 
 /// Runs a program whose commands are those of `C`, prints its error, and gives its exit code.
 pub fn run<C: CommandFactory>(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
-    exit::run(program, || command().inspect_err(|error| print_object::<C>(&format!("{error:#}"))))
+    output::also_report_error(print_object::<C>);
+    exit::run(program, command)
 }
 
 /// The arguments of a program, with enough open files for its command; it ends where they cannot be used, and where they

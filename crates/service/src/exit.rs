@@ -60,7 +60,7 @@ pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitC
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            output::note(format_args!("{program}: {error:#}"));
+            output::error(program, &format!("{error:#}"));
             ExitCode::from(code(&error))
         }
     }

@@ -379,13 +379,15 @@ fn a_held_stop_joins_through_a_process_and_an_interrupted_one_without_connection
     assert!(held.output.contains("the arrays of room held are stopped, confirmed after "), "{}", held.errors);
     let absent = free_loopback_endpoint().expect("a free port");
     // The wait for a confirmation is longer than that of this test.
-    let flags = ["stop", "--hold", "--room", &room.room, "--connect", &absent, "--timeout", "600"];
+    let flags = ["stop", "--hold", "--room", &room.room, "--connect", &absent, "--timeout", "600", "--json"];
     let mut order = Process::heliostat(&flags);
     wait_until("the reason", || order.errors().contains(&format!("no process answers at {absent}")));
     order.signal("INT");
     let ended = order.wait_mut();
     assert_eq!(ended.status.code(), Some(130), "{}", ended.errors);
     assert!(ended.errors.contains("heliostat stop: interrupted: "), "{}", ended.errors);
+    let object = ended.last_json();
+    assert!(object["error"].as_str().is_some_and(|error| error.starts_with("interrupted: ")), "{object}");
 }
 
 #[test]

@@ -260,7 +260,8 @@ mod tests {
             "the picture shows another room: room.height_m is 3.0 in the room and 4.0 in the scenario of this viewer"
         );
         let refused = notes(None, Some("[users]\ntrace = \"a\"".into()), None);
-        let start = "the geometry that sim-node announces is refused: room geometry: line 1: users: unknown field `users`";
+        let start =
+            "the geometry that sim-node announces is refused: room geometry: line 1: users: unknown field `users`";
         assert!(refused.starts_with(start), "{refused}");
         let escape = notes(None, Some("[\"\\u001b[2J\"]\na = 1".into()), None);
         assert!(escape.contains("unknown field") && !escape.contains('\u{1b}'), "{escape:?}");

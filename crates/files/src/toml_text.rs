@@ -10,7 +10,7 @@ use crate::excerpt;
 use crate::similar::hint;
 
 /// The end of a message about a line that is no TOML.
-const EXAMPLE: &str = "; expected TOML, for example `seed = 1`";
+const EXAMPLE: &str = "; expected TOML, for example `key = 1`";
 
 /// Why a text of TOML is not what was expected: line, key, what was found and what was expected, in one line.
 #[derive(Clone, Debug, PartialEq, Eq)]

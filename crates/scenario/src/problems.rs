@@ -210,7 +210,7 @@ mod tests {
             ("seed = 1\nseed = 2\n", "line 2: `seed = 2`: duplicate key"),
         ] {
             let found = problems(text);
-            let ends = "; expected TOML, for example `seed = 1`";
+            let ends = "; expected TOML, for example `key = 1`";
             assert!(found[0].starts_with(expected) && found[0].ends_with(ends), "{expected}: {found:?}");
         }
     }

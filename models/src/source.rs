@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
-use heliostat_core::policy::{NameParser, PolicyKind, actor_file::ActorFile};
+use heliostat_core::policy::{PolicyKind, actor_file::ActorFile};
 use heliostat_files::read_bytes;
 use heliostat_onnx::{ModelProto, external};
 use heliostat_scenario::Scenario;
@@ -40,7 +40,7 @@ impl From<Option<PathBuf>> for ActorSource {
 #[derive(Clone, Debug, clap::Args)]
 pub struct PolicyArgs {
     /// Policy of the controller [default: fixed-point, or ddpg with --model]
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
+    #[arg(long, value_enum)]
     pub policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]

@@ -88,7 +88,7 @@ fn found(name: &str) -> PyResult<PolicyKind> {
         let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
         format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx{hint}")
     };
-    PolicyKind::find(name, unknown).map_err(refused)
+    PolicyKind::from_str(name, false).map_err(|_| refused(unknown()))
 }
 
 /// The policy of a pickle: with the bytes of its file, and its memory as JSON.

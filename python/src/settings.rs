@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use heliostat_channel::MirrorAngles;
 use heliostat_core::belief::conditions::{Condition, conditions};
-use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::exact_states;
@@ -34,9 +33,6 @@ pub struct Settings {
 /// The value of a setting by its name.
 fn choice<T: Copy>(setting: &str, name: &str, known: &[(&str, T)]) -> PyResult<T> {
     known.iter().find(|(found, _)| *found == name).map(|(_, value)| *value).ok_or_else(|| {
-        if let Some(removed) = removed(name) {
-            return refused(format!("{setting} = {name:?}: {removed}"));
-        }
         let names: Vec<String> = known.iter().map(|(name, _)| format!("{name:?}")).collect();
         let hint = similar::hint(name, known.iter().map(|(known, _)| *known));
         refused(format!("{setting} = {name:?}: expected {}{hint}", names.join(", ")))

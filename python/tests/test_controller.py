@@ -211,6 +211,7 @@ def test_a_run_that_took_over_no_longer_stands_by_in_its_status() -> None:
             leader.close()
             wait_until("lead", lambda: bool(_counter(room, "fallback:standby")) and _counter(room, "standby") == 0)
             wait_until("state", lambda: room.status("controller")["state"] == "running")
+        wait_until("the last status", lambda: _counter(room, "ending") == 1)
     assert summaries[0].commands > 0 and summaries[0].standby > 0, summaries
 
 

@@ -229,12 +229,10 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
     ("keywords", "reason"),
     [
         ({"scenario": "hal"}, 'no built-in scenario "hal": .* a similar name exists: hall'),
-        ({"overrides": {"users.cout": 3}}, "^users.cout=3: unknown field `cout`.* a similar name exists: count"),
+        ({"overrides": {"users.cout": 3}}, "^users.cout=3: users.cout: unknown field `cout`.* a similar name exists: count"),
         ({"overrides": {"users.count": 0}}, "users.count = 0"),
         ({"overrides": {"users.count": 20}}, "users.count = 20: expected at most 10 in a static room"),
         ({"action": "angle"}, 'action = "angle": expected "angles", "weights"; a similar name exists: angles'),
-        ({"action": "compact"}, "the action compact was removed .docs/learning.md.: use weights or angles"),
-        ({"observation": "evidence"}, "the observation evidence was removed .docs/learning.md.: use belief"),
         ({"observation": "all"}, "observation = "),
         ({"reward": "none"}, "reward = "),
         ({"dynamics": "slow"}, "dynamics = "),

@@ -194,8 +194,6 @@ def test_learned_policies_are_built_in_by_name() -> None:
     assert rate["greedy"] > 1.2 * rate["flat"]
     assert rate["ddpg"] != rate["greedy"] != rate["analytic"]
     assert {"ddpg", "greedy"} <= set(heliostat.policy_names())
-    with pytest.raises(ValueError, match="the policy residual was removed .docs/learning.md.: use fixed-point"):
-        heliostat.Policy("residual")
     with pytest.raises(ValueError, match="no actor is built in for ddpg-raw"):
         heliostat.Policy("ddpg-raw", overrides={"mirrors.rows": 3})
 

@@ -6,6 +6,7 @@ use clap::Parser;
 use heliostat_controller::cli;
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit;
+use heliostat_service::process::allow_files;
 
 #[derive(Parser)]
 #[command(name = "heliostat-controller", version)]
@@ -19,6 +20,7 @@ struct Program {
 fn main() -> ExitCode {
     exit::run("heliostat-controller", || {
         let Program { library, args } = Program::parse();
+        allow_files()?;
         library.apply();
         cli::run(args)
     })

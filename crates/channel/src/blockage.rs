@@ -14,6 +14,8 @@
 //! # Ok::<(), heliostat_channel::ChannelError>(())
 //! ```
 
+use heliostat_proto::Obstacle;
+
 use crate::domain::{finite, positive};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
@@ -44,6 +46,15 @@ impl Cylinder {
             radius_m: positive("radius of a cylinder in m", radius_m)?,
             height_m: positive("height of a cylinder in m", height_m)?,
         })
+    }
+}
+
+/// The cylinder of a surveyed obstacle.
+impl From<&Obstacle> for Cylinder {
+    fn from(obstacle: &Obstacle) -> Self {
+        let Obstacle { x_m, y_m, radius_m, height_m } = *obstacle;
+        let [x_m, y_m, radius_m, height_m] = [x_m, y_m, radius_m, height_m].map(f64::from);
+        Self { x_m, y_m, radius_m, height_m }
     }
 }
 

@@ -12,6 +12,7 @@ use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory, Parser};
 use heliostat_scenario::BUILTIN_NAMES;
+use heliostat_service::process::allow_files;
 use heliostat_service::{exit, outln, output};
 
 /// Flags of other programs, and those that a command may have for the same purpose.
@@ -25,15 +26,17 @@ static USUAL: [(&[&str], &[&str]); 5] = [
 
 /// Runs a program whose commands are those of `C`, prints its error, and gives its exit code.
 pub fn run<C: CommandFactory>(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
-    exit::run(program, || command().inspect_err(|error| print_object::<C>(&format!("{error:#}"))))
+    output::also_report_error(print_object::<C>);
+    exit::run(program, command)
 }
 
-/// The arguments of a program; it ends where they cannot be used, and where they ask for help.
+/// The arguments of a program, with enough open files for its command; it ends where they cannot be used, and where they
+/// ask for help.
 ///
 /// # Errors
-/// The help text cannot be written.
+/// The help text cannot be written, or too few open files are allowed.
 pub fn parsed<C: Parser>() -> anyhow::Result<C> {
-    C::try_parse().or_else(|error| {
+    let arguments: anyhow::Result<C> = C::try_parse().or_else(|error| {
         let program = C::command();
         let command = chosen(&program, std::env::args_os());
         let error = with_flag_advice(with_file_advice(error, command), command);
@@ -46,7 +49,8 @@ pub fn parsed<C: Parser>() -> anyhow::Result<C> {
             output::flushed(error.print())?;
         }
         std::process::exit(error.exit_code())
-    })
+    });
+    arguments.and_then(|arguments| allow_files().map(|()| arguments))
 }
 
 /// Prints an error as an object, where the command line asks for JSON and no object is the last output.
@@ -64,12 +68,13 @@ fn asks_for_json(command: &Command, words: impl IntoIterator<Item = OsString>) -
     has_flag && words.into_iter().take_while(|word| *word != "--").any(|word| word == "--json")
 }
 
-/// The refusal of a command line, without its usage and the note on help.
+/// The refusal of a command line in one line, without its usage and the note on help.
 fn reason(error: &clap::Error) -> String {
     let text = error.render().to_string();
     let ends = ["\n\nUsage:", "\n\nFor more information"].into_iter().filter_map(|part| text.find(part));
     let text = &text[..ends.min().unwrap_or(text.len())];
-    text.strip_prefix("error: ").unwrap_or(text).trim_end().to_owned()
+    let words: Vec<&str> = text.strip_prefix("error: ").unwrap_or(text).split_whitespace().collect();
+    words.join(" ")
 }
 
 /// The command of a program that the words of a command line choose.

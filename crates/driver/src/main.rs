@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use heliostat_driver::cli;
 use heliostat_service::exit;
+use heliostat_service::process::allow_files;
 
 /// Drive real mirrors, or check a driver against the contract.
 #[derive(Debug, Parser)]
@@ -15,5 +16,9 @@ struct Program {
 }
 
 fn main() -> ExitCode {
-    exit::run("heliostat-driver", || cli::run(Program::parse().args))
+    exit::run("heliostat-driver", || {
+        let Program { args } = Program::parse();
+        allow_files()?;
+        cli::run(args)
+    })
 }

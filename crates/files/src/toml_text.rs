@@ -9,10 +9,14 @@ use toml::de::{DeTable, DeValue};
 use crate::excerpt;
 use crate::similar::hint;
 
+/// The end of a message about a line that is no TOML.
+const EXAMPLE: &str = "; expected TOML, for example `key = 1`";
+
 /// Why a text of TOML is not what was expected: line, key, what was found and what was expected, in one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TomlError {
     line: Option<usize>,
+    place: Option<usize>,
     key: Option<String>,
     message: String,
 }
@@ -46,11 +50,26 @@ impl TomlError {
             let line = span.and_then(|span| line_at(span.start));
             let written = line.and_then(|line| text.lines().nth(line - 1));
             let written = written.map(|written| format!("`{}`: ", visible(written))).unwrap_or_default();
-            return Self { line, key: None, message: format!("{written}{message}") };
+            return Self { line, place: None, key: None, message: format!("{written}{message}{EXAMPLE}") };
         };
-        let found = refused_entry(document.get_ref(), span, error.message());
-        let (line, key) = found.map(|(key, place)| (line_at(place), Some(excerpt(&key)))).unwrap_or_default();
-        Self { line, key, message }
+        let (key, place) = refused_entry(document.get_ref(), span, error.message()).unzip();
+        Self { line: place.and_then(line_at), place, key: key.as_deref().map(excerpt), message }
+    }
+
+    /// The line of the text, from 1, where one is refused.
+    pub fn line(&self) -> Option<usize> {
+        self.line
+    }
+
+    /// The place in bytes of the refused entry, in a text of TOML where one is refused.
+    pub fn place(&self) -> Option<usize> {
+        self.place
+    }
+
+    /// The same error of a text that no user has written: its lines mean nothing.
+    #[must_use]
+    pub fn without_line(self) -> Self {
+        Self { line: None, place: None, ..self }
     }
 }
 
@@ -181,7 +200,7 @@ pub fn entry_at(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usiz
 
 /// The beginning of a line. What is neither a letter nor of ASCII is escaped: an editor writes quotation marks and spaces
 /// that look like those of TOML.
-pub fn visible(line: &str) -> String {
+fn visible(line: &str) -> String {
     let shown = |letter: char| match letter {
         ' '..='~' => letter.to_string(),
         _ if letter.is_alphanumeric() => letter.to_string(),
@@ -192,7 +211,7 @@ pub fn visible(line: &str) -> String {
 
 /// A message of the parser with words in place of the names of Rust's types, with the known name that an unknown one
 /// resembles, and with the beginnings of long names and values.
-pub fn in_words(message: &str) -> String {
+fn in_words(message: &str) -> String {
     let lines = message.split('\n').map(|line| with_similar_name(&without_struct(&cut_quotes(line))));
     let message = &lines.collect::<Vec<_>>().join("\n");
     // TOML has no larger integer.
@@ -292,6 +311,9 @@ mod tests {
             assert!(found.starts_with(expected), "{found}");
             assert!(!found.contains('\n'), "{found}");
         }
+        let error = from_toml::<File>("rows = 1\nrow = 2").expect_err("refused");
+        assert_eq!((error.line(), error.place()), (Some(2), Some(9)));
+        assert!(error.without_line().to_string().starts_with("row: unknown field `row`"));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
-use heliostat_core::policy::{NameParser, PolicyKind};
+use heliostat_core::policy::PolicyKind;
 use heliostat_files::shell_word;
 use heliostat_proto::Room;
 use heliostat_scenario::{BUILTIN_NAMES, ScenarioArgs};
@@ -70,7 +70,7 @@ pub struct ReplayArgs {
     #[arg(long, group = "decide_again")]
     verify: bool,
     /// Decide again with this policy instead of the recorded one
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default(), group = "decide_again")]
+    #[arg(long, value_enum, group = "decide_again")]
     policy: Option<PolicyKind>,
     /// Decide again with this ONNX file of a learned policy instead of the built-in one
     #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]

@@ -115,7 +115,7 @@ impl Scene {
             return Ok(());
         }
         self.announced = Some((node, geometry.to_owned()));
-        let scenario = Scenario::from_geometry_toml(geometry).map_err(|error| error.in_one_line())?;
+        let scenario = Scenario::from_geometry_toml(geometry).map_err(|error| error.to_string())?;
         let model = scenario.channel_model().map_err(|error| error.to_string())?;
         let flat = vec![0.0; model.mirrors.len()];
         if flat.len() != self.angles.0.len() {

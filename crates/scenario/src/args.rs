@@ -67,11 +67,11 @@ impl ScenarioArgs {
         let mut overrides = self.overrides.clone();
         overrides.extend(self.seed.map(|seed| format!("seed={seed}")));
         let in_file = |error| match error {
-            ScenarioError::Parse { origin, message } if origin == "scenario" => {
-                ScenarioError::Parse { origin: self.scenario.clone(), message }
+            ScenarioError::Parse { origin, reason } if origin == "scenario" => {
+                ScenarioError::Parse { origin: self.scenario.clone(), reason }
             }
-            ScenarioError::Parse { message, .. } => {
-                ScenarioError::Parse { origin: format!("--set {}", overrides.join(" --set ")), message }
+            ScenarioError::Parse { reason, .. } => {
+                ScenarioError::Parse { origin: format!("--set {}", overrides.join(" --set ")), reason }
             }
             other => other,
         };

@@ -8,6 +8,11 @@ use crate::error::ScenarioError;
 use crate::scenario::Scenario;
 use crate::tables::{Mirrors, Wall};
 
+/// Most mirrors in a row or a column, however small they are.
+const SIDE_MAX: usize = 1024;
+/// Largest width and height of a mirror in m.
+const SIZE_MAX_M: f64 = 5.0;
+
 impl Scenario {
     /// The scenario, if it has one mirror array.
     ///
@@ -52,35 +57,43 @@ impl Scenario {
 
     fn check_array(&self, table: &str, mirrors: &Mirrors) -> Result<(), ScenarioError> {
         let key = |name: &str| format!("{table}.{name}");
-        count(&key("rows"), mirrors.rows, 1..=1024)?;
-        count(&key("columns"), mirrors.columns, 1..=1024)?;
-        count(&format!("{table}.rows x {table}.columns"), mirrors.rows * mirrors.columns, 1..=MIRRORS_MAX)?;
-        within(&key("width_m"), mirrors.width_m, 1e-4..=5.0)?;
-        within(&key("height_m"), mirrors.height_m, 1e-4..=5.0)?;
-        within(&key("gap_m"), mirrors.gap_m, 0.0..=5.0)?;
-        within(&key("reflectivity"), mirrors.reflectivity, 0.0..=1.0)?;
-        within(&key("centre_height_m"), mirrors.centre_height_m, 0.0..=self.room.height_m)?;
-        let (width, [low, high]) = (extent(mirrors.columns, mirrors.width_m, mirrors.gap_m), heights(mirrors));
+        let ceiling = self.room.height_m;
         let wall = match mirrors.wall {
             Wall::PlusY | Wall::MinusY => self.room.length_x_m,
             Wall::PlusX | Wall::MinusX => self.room.length_y_m,
         };
-        if width > wall {
-            let expected = format!(
-                "expected an array no wider than its wall of {wall} m, but it has {width:.2} m; use fewer or narrower mirrors"
-            );
-            return invalid(&key("columns"), mirrors.columns, &expected);
-        }
-        if low < 0.0 || high > self.room.height_m {
-            let expected = format!(
-                "expected an array between floor and ceiling, but it has {:.2} m centred at {} m; use fewer or lower mirrors",
-                extent(mirrors.rows, mirrors.height_m, mirrors.gap_m),
-                mirrors.centre_height_m
-            );
-            return invalid(&key("rows"), mirrors.rows, &expected);
-        }
-        Ok(())
+        within(&key("width_m"), mirrors.width_m, 1e-4..=SIZE_MAX_M.min(wall))?;
+        within(&key("height_m"), mirrors.height_m, 1e-4..=SIZE_MAX_M.min(ceiling))?;
+        within(&key("gap_m"), mirrors.gap_m, 0.0..=5.0)?;
+        within(&key("reflectivity"), mirrors.reflectivity, 0.0..=1.0)?;
+        let edge = mirrors.height_m / 2.0;
+        within(&key("centre_height_m"), mirrors.centre_height_m, edge..=ceiling - edge)?;
+        let (columns, rows) = (mirrors.columns, mirrors.rows);
+        let is_within_wall = |columns| extent(columns, mirrors.width_m, mirrors.gap_m) <= wall;
+        check_side(&key("columns"), columns, is_within_wall, || format!("on its wall of {wall} m"))?;
+        let is_within_room = |rows| {
+            let [low, high] = heights(&Mirrors { rows, ..mirrors.clone() });
+            low >= 0.0 && high <= ceiling
+        };
+        let centre = || format!("between floor and ceiling about the centre at {} m", mirrors.centre_height_m);
+        check_side(&key("rows"), rows, is_within_room, centre)?;
+        count(&format!("{table}.rows x {table}.columns"), rows * columns, 1..=MIRRORS_MAX)
     }
+}
+
+/// Accepts a number of mirrors in a line that fit into a place; a refusal states how many do.
+fn check_side(
+    key: &str,
+    found: usize,
+    fits: impl Fn(usize) -> bool,
+    place: impl FnOnce() -> String,
+) -> Result<(), ScenarioError> {
+    if (1..=SIDE_MAX).contains(&found) && fits(found) {
+        return Ok(());
+    }
+    let most = (1..=SIDE_MAX).rev().find(|count| fits(*count)).unwrap_or(1);
+    let expected = format!("expected an integer from 1 to {most}: so many mirrors of this size fit {}", place());
+    invalid(key, found, &expected)
 }
 
 /// Length of so many mirrors in a line, with the gaps between them, in m.

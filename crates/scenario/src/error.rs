@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use heliostat_files::excerpt;
+use heliostat_files::{TomlError, excerpt};
 use thiserror::Error;
 
 use crate::builtin::BUILTIN_NAMES;
@@ -13,12 +13,12 @@ use crate::similar::{hint, similar};
 pub enum ScenarioError {
     /// The text is not TOML, names a key that does not exist, or gives a key a value of another
     /// type.
-    #[error("{origin}: {message}")]
+    #[error("{origin}: {reason}")]
     Parse {
         /// The file's name, or the override.
         origin: String,
-        /// The message of the parser, with the line.
-        message: String,
+        /// What is refused, with its key, and with its line in a file.
+        reason: TomlError,
     },
     /// The file cannot be read.
     #[error("scenario file {path} cannot be read: {message}{}", builtin(path))]
@@ -90,20 +90,6 @@ pub enum ScenarioError {
         /// The name given.
         name: String,
     },
-}
-
-impl ScenarioError {
-    /// The message in one line. Of a parser's message this is the last line that gives a reason; lines
-    /// after it name the tables that hold the value.
-    pub fn in_one_line(&self) -> String {
-        match self {
-            Self::Parse { origin, message } => {
-                let reason = message.lines().rfind(|line| !line.starts_with("in `")).unwrap_or_default();
-                format!("{origin}: {reason}")
-            }
-            other => other.to_string(),
-        }
-    }
 }
 
 /// The built-in scenario that a path may mean.

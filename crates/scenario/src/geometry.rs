@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ScenarioError;
 use crate::mirror_tables::MirrorTables;
-use crate::scenario::{Scenario, parse_error, with_line};
+use crate::scenario::{Scenario, parse, with_line};
 use crate::tables::{Blockage, Channel, Led, Link, NoiseBudget, Receiver, Room, Users};
 
 /// The keys of a scenario that a geometry holds.
@@ -46,7 +46,7 @@ impl Scenario {
     /// # Errors
     /// As [`Scenario::from_toml`]; also for a key of a scenario that a geometry does not hold.
     pub fn from_geometry_toml(text: &str) -> Result<Self, ScenarioError> {
-        let geometry: Geometry = toml::from_str(text).map_err(|error| parse_error("room geometry", &error))?;
+        let geometry: Geometry = parse("room geometry", text)?;
         let scenario = geometry.into_scenario();
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)

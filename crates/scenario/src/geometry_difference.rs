@@ -79,7 +79,7 @@ impl Scenario {
     /// In words, why it is refused; `by` names the process.
     pub fn read_announced(announced: &str, by: &str) -> Result<Self, String> {
         Self::from_geometry_toml(announced)
-            .map_err(|error| format!("the geometry that {by} announces is refused: {}", error.in_one_line()))
+            .map_err(|error| format!("the geometry that {by} announces is refused: {error}"))
     }
 
     /// How the geometry that a room announces differs from that of this scenario of a controller; `None` if it does

@@ -6,8 +6,7 @@
 use std::fmt;
 use std::ops::Range;
 
-use heliostat_files::excerpt;
-use heliostat_files::toml_text::{entry_at, in_words, line_of, visible};
+use heliostat_files::toml_text::entry_at;
 use toml::de::{DeTable, DeValue};
 
 use crate::blame::refused_key;
@@ -107,7 +106,7 @@ impl Scenario {
         if !of_file.problems.is_empty() {
             return of_file;
         }
-        let problem = Problem { line: None, text: error.in_one_line() };
+        let problem = Problem { line: None, text: error.to_string() };
         checked(vec![problem], of_file.scenario, of_file.refused_tables)
     }
 }
@@ -135,29 +134,18 @@ fn examined(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>
         ScenarioError::Invalid { key: name, line, .. } | ScenarioError::Renamed { found: name, line, .. } => {
             (Problem { line: *line, text: error.to_string() }, by_name(text, name))
         }
-        ScenarioError::Parse { .. } => of_parser(text, error),
+        ScenarioError::Parse { reason, .. } => (
+            Problem { line: reason.line(), text: reason.to_string() },
+            reason.place().and_then(|place| at(text, place)),
+        ),
         _ => (Problem { line: None, text: error.to_string() }, None),
     }
 }
 
-/// A problem of the parser, which knows a place in the text but no key.
-fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>) {
-    let refused = toml::from_str::<Scenario>(text).err();
-    let Some((message, place)) = refused.and_then(|error| Some((in_words(error.message()), error.span()?.start)))
-    else {
-        return (Problem { line: None, text: error.in_one_line() }, None);
-    };
-    let line = line_of(text, place);
-    let message = message.replace('\n', "; ");
-    let Ok(document) = DeTable::parse(text) else {
-        let written = visible(text.lines().nth(line - 1).unwrap_or_default());
-        let text = format!("line {line}: `{written}`: {message}; a scenario is a TOML file, as `seed = 1`");
-        return (Problem { line: Some(line), text }, None);
-    };
-    let entry = entry_at(document.get_ref(), place);
-    let key = entry.as_ref().map(|(key, _)| format!("{}: ", excerpt(key))).unwrap_or_default();
-    let problem = Problem { line: Some(line), text: format!("line {line}: {key}{message}") };
-    (problem, entry.map(|(_, range)| range))
+/// The innermost entry around a place.
+fn at(text: &str, place: usize) -> Option<Range<usize>> {
+    let document = DeTable::parse(text).ok()?;
+    entry_at(document.get_ref(), place).map(|(_, entry)| entry)
 }
 
 /// The entry of `table.key`; text after a space is ignored.
@@ -222,7 +210,7 @@ mod tests {
             ("seed = 1\nseed = 2\n", "line 2: `seed = 2`: duplicate key"),
         ] {
             let found = problems(text);
-            let ends = "; a scenario is a TOML file, as `seed = 1`";
+            let ends = "; expected TOML, for example `key = 1`";
             assert!(found[0].starts_with(expected) && found[0].ends_with(ends), "{expected}: {found:?}");
         }
     }

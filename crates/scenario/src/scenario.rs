@@ -1,6 +1,7 @@
 //! The scenario: one checked value for all tables, read from TOML.
 
-use heliostat_files::toml_text::in_words;
+use heliostat_files::{TomlError, from_toml};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -91,13 +92,12 @@ impl Scenario {
     /// As [`Scenario::from_toml`]; for an override the message states the override instead of the
     /// line.
     pub fn from_toml_with<S: AsRef<str>>(text: &str, overrides: &[S]) -> Result<Self, ScenarioError> {
-        let in_file = |error: toml::de::Error| parse_error("scenario", &error);
         lists::refuse_long(text)?;
-        let mut table: toml::Table = toml::from_str(text).map_err(in_file)?;
+        let mut table: toml::Table = parse("scenario", text)?;
         let refused = Renames(RENAMES).refuse(&table).and_then(|()| lists::refuse_in_place_of_tables(&table));
         refused.map_err(|error| with_line(error, text))?;
         // Parsed without the overrides, so that an error in the file states its line.
-        let parsed: Self = toml::from_str(text).map_err(in_file)?;
+        let parsed: Self = parse("scenario", text)?;
         let of_file = parsed.check();
         if overrides.is_empty() {
             let blamed = |error| with_line(blame::of_written(error, &table, &blame::keys(&table)), text);
@@ -113,9 +113,8 @@ impl Scenario {
         }
         Renames(RENAMES).refuse(&table)?;
         lists::refuse_in_place_of_tables(&table)?;
-        let of_type =
-            |error: toml::de::Error| blame::of_type(parse_error(&overrides.join(", "), &error), &table, &written);
-        let scenario: Self = table.clone().try_into().map_err(of_type)?;
+        let scenario = parse_table(&overrides.join(", "), &table);
+        let scenario = scenario.map_err(|error| blame::of_type(error, &table, &written))?;
         scenario.check().map_err(|error| blame::of_written(error, &table, &written))?;
         Ok(scenario)
     }
@@ -126,11 +125,11 @@ impl Scenario {
     /// # Errors
     /// As [`Scenario::from_toml`], except that old names and removed values are accepted.
     pub fn from_recorded_toml(text: &str) -> Result<Self, ScenarioError> {
-        let recorded = |error: toml::de::Error| parse_error("recorded scenario", &error);
-        let mut table: toml::Table = toml::from_str(text).map_err(recorded)?;
+        let recorded = "recorded scenario";
+        let mut table: toml::Table = parse(recorded, text)?;
         Renames(RENAMES).apply(&mut table);
         Renames(REMOVED).apply(&mut table);
-        let scenario: Self = table.try_into().map_err(recorded)?;
+        let scenario = parse_table(recorded, &table)?;
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)
     }
@@ -242,8 +241,16 @@ pub fn short_hash(content: impl AsRef<[u8]>) -> String {
     Sha256::digest(content).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
-    ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
+/// Reads a text of TOML; an error names where it is from.
+pub(crate) fn parse<T: DeserializeOwned>(origin: &str, text: &str) -> Result<T, ScenarioError> {
+    from_toml(text).map_err(|reason| ScenarioError::Parse { origin: origin.into(), reason })
+}
+
+/// The scenario of a table that is no text of a user; an error names the key, and no line.
+fn parse_table(origin: &str, table: &toml::Table) -> Result<Scenario, ScenarioError> {
+    let text = toml::to_string(table).expect("every table has a TOML form");
+    from_toml(&text)
+        .map_err(|reason: TomlError| ScenarioError::Parse { origin: origin.into(), reason: reason.without_line() })
 }
 
 /// Adds the line of the refused key, if the file sets it.

@@ -16,7 +16,6 @@ use heliostat_bus::{BusError, KeyError};
 use heliostat_scenario::{ScenarioError, TraceFileError};
 
 use crate::output;
-use crate::process::allow_files;
 
 /// The command failed, or it checked something and found it wrong.
 pub const FAILURE: u8 = 1;
@@ -55,13 +54,13 @@ pub fn unusable(error: impl Into<anyhow::Error>) -> anyhow::Error {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Runs a command with enough open files, prints its error to standard error, and gives the exit code of the program.
+/// Runs a command, prints its error to standard error, and gives the exit code of the program.
 pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
-    match allow_files().and_then(|()| command()) {
+    match command() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            output::note(format_args!("{program}: {error:#}"));
+            output::error(program, &format!("{error:#}"));
             ExitCode::from(code(&error))
         }
     }

@@ -5,12 +5,15 @@
 
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::printable::printable_lines;
 
 /// Whether the last text on standard output is an object in JSON.
 static ENDS_WITH_OBJECT: AtomicBool = AtomicBool::new(false);
+/// What also takes the error that ends this process.
+static ERROR_REPORT: OnceLock<fn(&str)> = OnceLock::new();
 
 /// `println!` that returns an error instead of a panic when the reader has closed the pipe.
 #[macro_export]
@@ -66,6 +69,21 @@ pub fn flushed(written: io::Result<()>) -> io::Result<()> {
 /// Writes a text and a line end to standard error. A closed standard error is ignored.
 pub fn note(text: impl Display) {
     drop(write_text(&mut io::stderr().lock(), format_args!("{text}\n")));
+}
+
+/// Has `report` called with the error that ends this process, after it is written to standard error. Only the first call
+/// has an effect.
+pub fn also_report_error(report: fn(&str)) {
+    // A second one is that of the same program.
+    let _ = ERROR_REPORT.set(report);
+}
+
+/// Writes the error that ends this process to standard error, with the name of its program.
+pub(crate) fn error(program: &str, text: &str) {
+    note(format_args!("{program}: {text}"));
+    if let Some(report) = ERROR_REPORT.get() {
+        report(text);
+    }
 }
 
 /// The error of a write to standard output: its kind stays, so that a closed pipe is still told from a full disk.

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::duration;
 use crate::exit::INTERRUPTED;
-use crate::output::note;
+use crate::output;
 use crate::stop::Stop;
 
 /// The environment variable of a [`part`].
@@ -86,7 +86,7 @@ pub fn end_on_request(stop: Stop, program: &'static str, said: impl Fn() -> Opti
         stop.wait();
         let Some(said) = said() else { return };
         if std::env::var_os(PART).is_none() {
-            note(format_args!("{program}: interrupted: {said}"));
+            output::error(program, &format!("interrupted: {said}"));
         }
         std::process::exit(INTERRUPTED.into());
     });

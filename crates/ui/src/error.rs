@@ -64,7 +64,7 @@ pub enum UiError {
         /// Its value.
         value: String,
         /// The valid values.
-        expected: &'static str,
+        expected: String,
     },
     /// An order about a process that this program did not start.
     #[error(

@@ -223,22 +223,22 @@ impl Order {
 
     /// Checks every value against its domain. The receiver checks it again with its own limits.
     fn check(&self) -> Result<(), UiError> {
-        let invalid = |name, value: String, expected| Err(UiError::InvalidOrder { name, value, expected });
+        let invalid = |name, value: String, expected: String| Err(UiError::InvalidOrder { name, value, expected });
         match self {
             Self::Policy { name } if name.is_empty() || name.len() > 64 => {
-                invalid("policy", format!("{name:.70}"), "the name of a policy, 1 to 64 bytes")
+                invalid("policy", format!("{name:.70}"), "the name of a policy, 1 to 64 bytes".into())
             }
             Self::Power { watts } if !(*watts > 0.0 && *watts <= POWER_MAX_W) => {
-                invalid("power", format!("{watts} W"), "more than 0 and at most 100 W")
+                invalid("power", format!("{watts} W"), format!("more than 0 and at most {POWER_MAX_W} W"))
             }
             Self::Blocked { users } if *users as usize > MAX_USERS => {
-                invalid("number of blocked users", users.to_string(), "at most 64")
+                invalid("number of blocked users", users.to_string(), format!("at most {MAX_USERS}"))
             }
             Self::Speed { max_m_s } if !(0.0..=SPEED_MAX_M_S).contains(max_m_s) => {
-                invalid("speed", format!("{max_m_s} m/s"), "0 to 10 m/s")
+                invalid("speed", format!("{max_m_s} m/s"), format!("0 to {SPEED_MAX_M_S} m/s"))
             }
             Self::Stick { share } if !(*share > 0.0 && *share <= 1.0) => {
-                invalid("share of mirrors", share.to_string(), "more than 0 and at most 1")
+                invalid("share of mirrors", share.to_string(), "more than 0 and at most 1".into())
             }
             _ => Ok(()),
         }

@@ -240,12 +240,6 @@ impl FrameBuilder {
         let is_over = !received.has_users();
         let last = || received.arrays.last_joint(&room.model.mirrors).filter(|_| is_over);
         let telemetry = received.arrays.joint(&room.model.mirrors).or_else(last);
-        let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
-            x_m: f64::from(obstacle.x_m),
-            y_m: f64::from(obstacle.y_m),
-            radius_m: f64::from(obstacle.radius_m),
-            height_m: f64::from(obstacle.height_m),
-        };
         let belief = Received::fresh(&received.belief);
         let belief_of = |user, drawn_ns| belief.and_then(|report| Belief::of(report, user, drawn_ns));
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
@@ -263,10 +257,10 @@ impl FrameBuilder {
                 }
             };
             let users = truth.users.iter().map(observed).collect();
-            return (users, truth.obstacles.iter().map(cylinder).collect(), telemetry);
+            return (users, truth.obstacles.iter().map(Cylinder::from).collect(), telemetry);
         }
         let obstacles = shown(&received.obstacles, is_over).map_or(&[][..], |report| &report.obstacles);
-        let obstacles = obstacles.iter().map(cylinder).collect();
+        let obstacles = obstacles.iter().map(Cylinder::from).collect();
         let Some(report) = shown(&received.users, is_over) else { return (Vec::new(), obstacles, telemetry) };
         headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
         let gains = shown(&received.channel, is_over).map_or(&[][..], |report| &report.users);

@@ -129,7 +129,7 @@ impl RoomChooser {
         let Announcements { sim_node, sim_node_scenario, controller, of_controllers, .. } = announcements;
         let Announcements { is_sim_node_old, is_controller_old, .. } = announcements;
         let read = |source, text: &str| {
-            let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.in_one_line())?;
+            let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.to_string())?;
             ShownRoom::new(source, scenario).map(Arc::new).map_err(|error| error.to_string())
         };
         let refused =
@@ -260,7 +260,8 @@ mod tests {
             "the picture shows another room: room.height_m is 3.0 in the room and 4.0 in the scenario of this viewer"
         );
         let refused = notes(None, Some("[users]\ntrace = \"a\"".into()), None);
-        let start = "the geometry that sim-node announces is refused: room geometry: unknown field `users`";
+        let start =
+            "the geometry that sim-node announces is refused: room geometry: line 1: users: unknown field `users`";
         assert!(refused.starts_with(start), "{refused}");
         let escape = notes(None, Some("[\"\\u001b[2J\"]\na = 1".into()), None);
         assert!(escape.contains("unknown field") && !escape.contains('\u{1b}'), "{escape:?}");

@@ -84,6 +84,18 @@ impl Display {
         })
     }
 
+    /// Shows a command that the user may give elsewhere, with its purpose; in the full-screen view in place of the second
+    /// line of the title.
+    pub fn advise(&mut self, purpose: &str, command: &str) {
+        match self {
+            Self::Lines(_) => output::note(format_args!("{purpose}: {command}")),
+            Self::Screen(screen) => {
+                let first = screen.title.lines().next().unwrap_or_default();
+                screen.title = format!("{first}\n{command}");
+            }
+        }
+    }
+
     /// Draws the current state.
     ///
     /// # Errors

@@ -83,6 +83,8 @@ pub struct Report {
     pub episodes: usize,
     /// Mirrors in the room.
     pub mirrors: usize,
+    /// Threads for episodes and actors; several disturb the decision times.
+    pub threads: usize,
     /// Users in the room.
     pub users: usize,
     /// Users whose direct path is forced off.
@@ -197,6 +199,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         seeds: settings.seeds,
         episodes: settings.seeds * settings.episodes(),
         mirrors: if settings.without_mirrors { 0 } else { scenario.mirror_count() },
+        threads: rayon::current_num_threads(),
         users: scenario.users.count,
         blocked: scenario.blockage.forced_users,
         conditions: found,

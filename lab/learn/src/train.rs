@@ -8,7 +8,6 @@ use anyhow::{Context, bail};
 use heliostat_channel::ChannelError;
 use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::USERS_CAPACITY;
-use heliostat_core::policy::NameParser;
 use heliostat_core::policy::actor_file::{key, room_entries};
 use heliostat_environment::exact_states;
 use heliostat_files::{shell_word, write_whole};
@@ -32,7 +31,7 @@ use crate::training::{Algorithm, Preset, Training};
 #[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct TrainArgs {
     /// Algorithm
-    #[arg(value_enum, value_parser = NameParser::<Algorithm>::default())]
+    #[arg(value_enum)]
     algorithm: Algorithm,
     #[command(flatten)]
     scenario: ScenarioArgs,

@@ -296,11 +296,16 @@ class _Run:
                 if found and found != problem:
                     print(f"heliostat.run: {found}", file=sys.stderr, flush=True)
                 problem = found
-                counters = {**self._core.status(), "late": self._late, "dropped": self._dropped}
-                before, state = state, "standby" if counters["standby"] else "running"
+                before, state = state, "standby" if self._core.status()["standby"] else "running"
                 if state != before:
                     print(f"heliostat.run: {_STATES[state]}", file=sys.stderr, flush=True)
-                self._peer.publish_status(state, counters, found, policy="python", scenario=self._scenario.hash)
+                self._publish_status(state, found)
+        # Of a controller that ends in order: it is no missing standby.
+        self._publish_status(state, problem, ending=1)
+
+    def _publish_status(self, state: str, problem: str, **more: int) -> None:
+        counters = {**self._core.status(), "late": self._late, "dropped": self._dropped, **more}
+        self._peer.publish_status(state, counters, problem, policy="python", scenario=self._scenario.hash)
 
     def _problem(self, is_over: bool = False) -> str:
         """Why there is no command, or why commands suit another room; empty without a problem."""

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use heliostat_service::exit;
+use heliostat_service::process::allow_files;
 use heliostat_sim_node::cli;
 
 /// Run the simulated room: users, obstacles, mirrors, reports.
@@ -15,5 +16,9 @@ struct Command {
 }
 
 fn main() -> ExitCode {
-    exit::run("heliostat-sim-node", || cli::run(Command::parse().args))
+    exit::run("heliostat-sim-node", || {
+        let Command { args } = Command::parse();
+        allow_files()?;
+        cli::run(args)
+    })
 }

@@ -260,8 +260,8 @@ fn a_demo_whose_simulator_is_paused_says_what_to_do_in_a_demo() {
     };
     signal("-STOP");
     let problem = || browser.text("#problem");
-    let paused = "The simulator reports no positions of users: its process is paused or hangs; continue it, or end the \
-                  demo and start it again.";
+    let paused = "The simulator reports no positions of users: its process has ended, is paused or hangs; start it by the \
+                  command in the terminal, continue it, or end the demo and start it again.";
     wait_until("what to do", || problem() == paused);
     // Its connection expires: the controller is alone.
     let driverless = || setting.observer.counter(NodeKind::Controller, "driver_absent") > 0;

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use heliostat_bus::private_endpoint;
-use heliostat_tests::{Process, number, wait_until};
+use heliostat_tests::{Process, RoomObserver, number, wait_until};
 use serde_json::Value;
 
 /// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
@@ -97,15 +97,44 @@ fn an_invalid_scenario_is_refused_before_any_process_starts() {
     assert!(!ended.errors.contains("is process"), "{}", ended.errors);
 }
 
+/// Kills a process of a demo.
+fn kill(demo: &Process, command: &str) {
+    let errors = demo.errors();
+    let (_, rest) = errors.split_once(&format!("{command} is process ")).expect("the process is named");
+    let process = rest.split_whitespace().next().expect("an id");
+    assert!(Command::new("kill").args(["-KILL", process]).status().unwrap().success());
+}
+
+#[test]
+fn a_demo_for_a_user_stays_without_a_process_and_has_the_command_that_starts_it_again() {
+    for killed in ["controller", "sim-node"] {
+        let mut demo = Process::heliostat(&["demo", "--plain", "--no-ui", "--policy", "fixed-point"]);
+        wait_until("answered reports", || demo.errors().contains("the mirrors answer reports"));
+        kill(&demo, killed);
+        let before =
+            format!("the {killed} process has ended; the demo goes on until Ctrl-C. To start it again: heliostat ");
+        wait_until("the command", || demo.errors().split_once(&before).is_some_and(|(_, rest)| rest.contains('\n')));
+        let errors = demo.errors();
+        let command = errors.split_once(&before).and_then(|(_, rest)| rest.lines().next()).expect("a command");
+        let words: Vec<&str> = command.split(' ').chain(["--exit-with-parent"]).collect();
+        let _again = Process::heliostat(&words);
+        let endpoints = errors.split("tcp/").skip(1).take(2).filter_map(|rest| rest.split([',', ';', ' ']).next());
+        let endpoints: Vec<String> = endpoints.map(|address| format!("tcp/{address}")).collect();
+        RoomObserver::connect("demo", &[&endpoints[0], &endpoints[1]]).wait_for_commands();
+        assert!(demo.is_running(), "{}", demo.errors());
+        demo.signal("INT");
+        let ended = demo.wait_mut();
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+        assert!(ended.errors.contains(&format!("the {killed} process ended early (signal: 9")), "{}", ended.errors);
+    }
+}
+
 #[test]
 fn a_demo_whose_process_is_killed_names_it_prints_what_the_other_measured_and_fails() {
     for (killed, measured) in [("controller", "loop_us"), ("sim-node", "decision_us")] {
         let mut demo = Process::heliostat(&["demo", "--json", "--policy", "fixed-point"]);
         wait_until("answered reports", || demo.errors().contains("the mirrors answer reports"));
-        let errors = demo.errors();
-        let (_, rest) = errors.split_once(&format!("{killed} is process ")).expect("the process is named");
-        let process = rest.split_whitespace().next().expect("an id");
-        assert!(Command::new("kill").args(["-KILL", process]).status().unwrap().success());
+        kill(&demo, killed);
         let ended = demo.wait_mut();
         assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
         assert!(ended.errors.contains(&format!("the {killed} process ended early (signal: 9")), "{}", ended.errors);

@@ -2,7 +2,7 @@
 
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{
-    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport,
+    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Stamp, UserReport,
 };
 use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
@@ -209,6 +209,10 @@ fn a_controller_that_ends_hands_over_to_the_standby_that_it_is_connected_to() {
     assert_eq!(summary["epoch_events"]["superseded"].as_u64(), Some(1), "{summary}");
     wait_until("a higher epoch", || of_second.telemetry().is_some_and(|array| array.epoch > epoch));
     wait_for_accepted(&of_second);
+    wait_until("a controller alone that misses no standby", || {
+        let status = of_second.status(NodeKind::Controller).expect("received");
+        [NodeStatus::STANDBY, "peers", NodeStatus::STANDBY_MISSING].map(|name| status.counter(name)) == [Some(0); 3]
+    });
     let summary = second.end().json();
     assert_eq!(summary["epoch_events"]["took-over"].as_u64(), Some(1), "{summary}");
     drop(setting.room);

@@ -379,23 +379,27 @@ fn a_held_stop_joins_through_a_process_and_an_interrupted_one_without_connection
     assert!(held.output.contains("the arrays of room held are stopped, confirmed after "), "{}", held.errors);
     let absent = free_loopback_endpoint().expect("a free port");
     // The wait for a confirmation is longer than that of this test.
-    let flags = ["stop", "--hold", "--room", &room.room, "--connect", &absent, "--timeout", "600"];
+    let flags = ["stop", "--hold", "--room", &room.room, "--connect", &absent, "--timeout", "600", "--json"];
     let mut order = Process::heliostat(&flags);
     wait_until("the reason", || order.errors().contains(&format!("no process answers at {absent}")));
     order.signal("INT");
     let ended = order.wait_mut();
     assert_eq!(ended.status.code(), Some(130), "{}", ended.errors);
     assert!(ended.errors.contains("heliostat stop: interrupted: "), "{}", ended.errors);
+    let object = ended.last_json();
+    assert!(object["error"].as_str().is_some_and(|error| error.starts_with("interrupted: ")), "{object}");
 }
 
 #[test]
 fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     let endpoint = free_loopback_endpoint().expect("a free port");
-    for order in ["stop", "rearm"] {
+    for (order, end) in
+        [("stop", "To stop the mirrors now, cut their power"), ("rearm", "Each stop that is in force stays so")]
+    {
         let ended = Process::heliostat(&[order, "--connect", &endpoint]).wait();
         let refusal = ended.refusal();
         assert!(refusal.contains(&format!("no process answers at {endpoint}. Nothing was sent")), "{order}: {refusal}");
-        assert!(refusal.trim().ends_with("To stop the mirrors now, cut their power"), "{refusal}");
+        assert!(refusal.trim().ends_with(end), "{refusal}");
     }
     // A process of another kind accepts connections there.
     let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");

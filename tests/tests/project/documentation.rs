@@ -105,7 +105,7 @@ fn the_readme_runs() {
 
 #[test]
 fn first_run_runs() {
-    assert!(run("docs/tutorials/first-run.md") >= 7);
+    assert!(run("docs/tutorials/first-run.md") >= 11);
 }
 
 /// Its processes together are in processes/trackers.rs.

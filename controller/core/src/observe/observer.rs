@@ -28,7 +28,7 @@ pub mod memory;
 
 use heliostat_channel::{Body, ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{
-    ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport, UserState,
+    ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport, UserState,
 };
 use heliostat_scenario::{self as scenario, Scenario, WALKING_M_S};
 
@@ -329,22 +329,12 @@ impl Observer {
 fn place_obstacles(blockers: &mut Vec<Cylinder>, inbox: &Inbox) {
     blockers.clear();
     let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
-    blockers.extend(obstacles.map(cylinder));
+    blockers.extend(obstacles.map(Cylinder::from));
 }
 
 /// Age in s of a report at `now`.
 fn age_s(report: &UserReport, now: Nanos) -> f64 {
     now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9
-}
-
-/// The cylinder of a surveyed obstacle.
-fn cylinder(obstacle: &Obstacle) -> Cylinder {
-    Cylinder {
-        x_m: f64::from(obstacle.x_m),
-        y_m: f64::from(obstacle.y_m),
-        radius_m: f64::from(obstacle.radius_m),
-        height_m: f64::from(obstacle.height_m),
-    }
 }
 
 /// The direction of a believed heading: that of a walk at this speed, and otherwise the mean one,

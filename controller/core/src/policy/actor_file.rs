@@ -19,7 +19,6 @@ use heliostat_onnx::{
 use heliostat_scenario::{Scenario, short_hash};
 use prost::Message;
 
-use super::removed::removed;
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use metadata::{MetadataReader, quoted};
 
@@ -129,12 +128,7 @@ impl ActorInfo {
             ANGLES => ActionKind::Angles,
             WEIGHTS => ActionKind::Weights(reader.head()?),
             CODEBOOK => ActionKind::Codebook,
-            other => {
-                return Err(match removed(other) {
-                    Some(removed) => ActorProblem::RemovedAction { removed },
-                    None => ActorProblem::Action { found: quoted(other) },
-                });
-            }
+            other => return Err(ActorProblem::Action { found: quoted(other) }),
         };
         let name = reader.find(key::OBSERVATION).map_or(ObservationKind::Flat.name(), String::as_str);
         let observation = ObservationKind::ALL.into_iter().find(|kind| kind.name() == name);

@@ -9,7 +9,6 @@ use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
 use super::engine::Engine;
 use super::proposal::{Policy, TimeSource};
-use super::removed::removed;
 use crate::output::safety::Limits;
 use Recipe::{Direct, Learned};
 
@@ -140,15 +139,6 @@ impl PolicyKind {
     /// The name on the command line and in file names.
     pub fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).expect("every policy has a name")
-    }
-
-    /// The policy of a name, or why there is none: the sentence about a removed policy, otherwise
-    /// what `unknown` returns.
-    ///
-    /// # Errors
-    /// That text.
-    pub fn find(name: &str, unknown: impl FnOnce() -> String) -> Result<Self, String> {
-        Self::from_str(name, false).map_err(|_| removed(name).map_or_else(unknown, |removed| removed.to_string()))
     }
 
     /// Whether the policy is a trained network, stored as an ONNX file.

@@ -76,9 +76,6 @@ fn an_unknown_action_is_named_with_the_known_ones() {
             &[&format!("unknown action \"{action}\""), "\"angles\"", "\"codebook\"", "heliostat.action"],
         );
     }
-    for action in ["compact", "displacements"] {
-        expect_refusal(&with(action), &[&format!("the action {action} was removed"), "weights"]);
-    }
     let error = refusal(&with(&"\u{1b}x".repeat(5000)), &scenario(&[]));
     assert!(error.to_string().len() < 600 && !error.to_string().contains('\u{1b}'), "{error}");
 }

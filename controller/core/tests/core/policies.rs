@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
 use heliostat_core::{
     observation::{Observation, RoomState},
-    policy::{NameParser, PolicyKind, removed},
+    policy::PolicyKind,
 };
 use heliostat_scenario::Scenario;
 
@@ -170,30 +170,5 @@ fn metaheuristics_gain_by_every_trial_and_repeat_by_seed() {
 fn a_time_budget_ends_the_search() {
     for kind in [PolicyKind::SineCosine, PolicyKind::Pso] {
         searched(kind, &["control.search_evaluations=100000000", "control.search_time_us=500"]);
-    }
-}
-
-#[test]
-fn a_removed_policy_is_named_with_what_to_use_wherever_its_name_is_read() {
-    let sentence =
-        "the policy residual was removed (docs/learning.md): use fixed-point, or greedy for the highest ratio";
-    assert_eq!(removed("residual").map(|removed| removed.to_string()).as_deref(), Some(sentence));
-    assert_eq!(PolicyKind::find("residual", || unreachable!()), Err(sentence.into()));
-    assert_eq!(PolicyKind::find("residuals", || "unknown".into()), Err("unknown".into()));
-    assert_eq!(PolicyKind::find("greedy", || unreachable!()), Ok(PolicyKind::Greedy));
-    let command = clap::Command::new("test")
-        .arg(clap::Arg::new("policy").long("policy").value_parser(NameParser::<PolicyKind>::default()));
-    let given = |name| command.clone().try_get_matches_from(["test", "--policy", name]);
-    assert!(given("greedy").is_ok());
-    let refused = given("residual").unwrap_err();
-    assert!(refused.to_string().contains(sentence) && refused.exit_code() == 2, "{refused}");
-    let unknown = given("residuals").unwrap_err().to_string();
-    assert!(unknown.contains("fixed-point") && unknown.contains("greedy"), "{unknown}");
-}
-
-#[test]
-fn no_policy_has_the_name_of_a_removed_one() {
-    for kind in PolicyKind::value_variants() {
-        assert_eq!(removed(&kind.name()), None, "{kind:?}");
     }
 }

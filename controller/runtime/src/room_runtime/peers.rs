@@ -5,6 +5,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    mem::take,
     sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
@@ -32,8 +33,8 @@ struct Seen {
     signs: BTreeMap<u64, Instant>,
     /// Those of them that are no calibrations, by their statuses.
     controllers: BTreeSet<u64>,
-    /// Whether there was ever such a one.
-    had_controller: bool,
+    /// Those whose token has ended without the last status of a controller that ends in order, since one reported.
+    gone: BTreeSet<u64>,
 }
 
 impl PeerStatuses {
@@ -52,28 +53,37 @@ impl PeerStatuses {
         Ok((statuses, bus.subscribe(&bus.room().status(NodeKind::Controller), receive)?))
     }
 
-    /// A status of a controller has arrived. Without a token it is not kept.
+    /// A status of a controller has arrived. Without a token it is not kept: the last one of a controller that ends in
+    /// order follows its token.
     fn note(&self, status: &NodeStatus, at: Instant) {
         let (mut seen, source) = (lock(&self.0), status.stamp.source);
+        if status.counter(NodeStatus::ENDING).is_some_and(|ending| ending > 0) {
+            seen.controllers.remove(&source);
+            seen.gone.remove(&source);
+            return;
+        }
         let Some(last) = seen.signs.get_mut(&source) else { return };
         *last = at;
         if CalibrationProgress::of(status).is_none() {
             seen.controllers.insert(source);
-            seen.had_controller = true;
+            seen.gone.clear();
         }
     }
 
-    /// Whether none of these processes is a controller, although there was one.
+    /// Whether none of these processes is a controller, although there was one that did not end in order.
     pub fn is_standby_missing(&self, peers: &[u64]) -> bool {
         let seen = lock(&self.0);
-        seen.had_controller && !peers.iter().any(|peer| seen.controllers.contains(peer))
+        !seen.gone.is_empty() && !peers.iter().any(|peer| seen.controllers.contains(peer))
     }
 
     /// Those of these controllers from which no status has come for [`SILENCE`].
     pub fn silent(&self, peers: &[u64], now: Instant) -> Vec<u64> {
         let mut seen = lock(&self.0);
         seen.signs.retain(|source, _| peers.contains(source));
-        seen.controllers.retain(|source| peers.contains(source));
+        let (present, gone): (BTreeSet<u64>, BTreeSet<u64>) =
+            take(&mut seen.controllers).into_iter().partition(|source| peers.contains(source));
+        seen.controllers = present;
+        seen.gone.extend(gone);
         let mut is_silent = |source: &u64| {
             let sign = *seen.signs.entry(*source).or_insert(now);
             now.saturating_duration_since(sign) >= SILENCE
@@ -165,6 +175,30 @@ mod tests {
         assert!(is_missing(&[9]), "a token alone is no controller that reports");
         statuses.note(&status(9), now);
         assert!(!is_missing(&[9]));
+    }
+
+    #[test]
+    fn a_standby_that_ends_in_order_is_not_missing_whether_its_token_or_its_last_status_is_first() {
+        let (statuses, now) = (PeerStatuses::default(), Instant::now());
+        let is_missing = |peers: &[u64]| {
+            statuses.silent(peers, now);
+            statuses.is_standby_missing(peers)
+        };
+        let last = |source| NodeStatus { counters: vec![(NodeStatus::ENDING.to_owned(), 1)], ..status(source) };
+        for source in [7, 8] {
+            assert!(!is_missing(&[source]));
+            statuses.note(&status(source), now);
+            if source == 7 {
+                assert!(is_missing(&[]), "nothing is known of its end");
+            }
+            statuses.note(&last(source), now);
+            assert!(!is_missing(&[]), "{source}");
+        }
+        // The end of another one excuses no crash.
+        assert!(!is_missing(&[9]));
+        statuses.note(&status(9), now);
+        statuses.note(&last(7), now);
+        assert!(is_missing(&[]));
     }
 
     #[test]

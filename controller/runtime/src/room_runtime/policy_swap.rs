@@ -69,7 +69,7 @@ impl PolicyBuilder {
     /// # Errors
     /// Why the name is unknown, or the policy does not fit the room.
     pub fn build(&self, name: &str) -> Result<(Box<dyn Policy>, Vec<Finding>), String> {
-        let kind = PolicyKind::find(name, || unknown(name))?;
+        let kind = PolicyKind::from_str(name, false).map_err(|_| unknown(name))?;
         let (configured, source) = &self.configured;
         let source = if kind == *configured { source } else { &ActorSource::Shipped };
         let tried = build_tried(kind, &self.scenario, source);

@@ -278,6 +278,7 @@ impl Reporter {
         let unfit = summary.arrays.iter().filter(|array| array.unfit && !summary.is_entirely_unfit());
         let unfit = unfit.map(|array| (format!("{}{}", NodeStatus::ARRAY_UNFIT_OF, array.name), 1));
         let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));
+        let ending = self.is_ending.then(|| (NodeStatus::ENDING.to_owned(), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("{}{hash}", NodeStatus::ACTOR), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
@@ -298,6 +299,7 @@ impl Reporter {
                 .chain(missed)
                 .chain(users)
                 .chain(host)
+                .chain(ending)
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)

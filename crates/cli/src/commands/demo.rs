@@ -12,6 +12,7 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusArgs, BusConfig, BusError, free_loopback_endpoint};
 use heliostat_core::policy::PolicyKind;
+use heliostat_files::shell_word;
 use heliostat_models::{PolicyArgs, build, library};
 use heliostat_proto::Room;
 use heliostat_room::World;
@@ -22,7 +23,7 @@ use heliostat_service::printable::printable;
 use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, NetworkFile, Operator, Page, PageArgs, ProcessOrder, View};
 
-use processes::Processes;
+use processes::{Processes, ROOM};
 
 use super::ending::{Ending, WATCH_EVERY};
 use super::ui::fitting_policies;
@@ -36,8 +37,9 @@ const START_LIMIT: Duration = Duration::from_secs(60);
 /// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room,
 /// and its buttons act on it; the address is printed. The terminal shows the same figures in
 /// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
-/// the demo with a summary. Where a process ends early, the summary covers the other one, and the
-/// exit status is 1. Figures go to standard error, the summary to standard output.
+/// the demo with a summary. Where a process ends early, the demo goes on, and the terminal has the
+/// command that starts it again; with --seconds or --json the demo ends. The summary covers the other
+/// process, and the exit status is 1. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -72,7 +74,7 @@ pub fn run(args: Args) -> Result<()> {
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
     let mut processes = Processes::start(
-        &args.process_arguments("sim-node", &[("--listen", endpoints.0)]),
+        &args.room_arguments(endpoints.0),
         &args.controller_arguments(endpoints, args.policy.kind())?,
     )?;
     let (room_id, controller_id) = processes.ids();
@@ -143,7 +145,8 @@ struct Watched<'a> {
     title: String,
 }
 
-/// Draws until the time is over, or a signal or a key arrives. A process that ends is an error.
+/// Draws until the time is over, or a signal or a key arrives. A process that ends is an error in a script, and before the
+/// first answered report.
 fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<Ending> {
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
@@ -156,12 +159,25 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<En
             return Ok(Ending::Key);
         }
         std::thread::sleep(WATCH_EVERY);
-        processes.check_alive()?;
-        for order in watched.process_orders.try_iter() {
+        let controller_arguments = || {
             let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
-            processes.apply(order, || {
-                args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy.kind()))
-            })?;
+            args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy.kind()))
+        };
+        if let Some((command, error)) = processes.next_ended() {
+            // A script waits for the end, and a demo that never worked shows nothing.
+            if started.is_none() || args.seconds.is_some() || args.json {
+                return Err(error);
+            }
+            let arguments =
+                if command == ROOM { args.room_arguments(watched.endpoints.0) } else { controller_arguments()? };
+            let words: Vec<String> = arguments.iter().map(|word| shell_word(word)).collect();
+            display.advise(
+                &format!("the {command} process has ended; the demo goes on until Ctrl-C. To start it again"),
+                &format!("heliostat {}", words.join(" ")),
+            );
+        }
+        for order in watched.process_orders.try_iter() {
+            processes.apply(order, controller_arguments)?;
         }
         match started {
             None if watched.view.is_complete() => {
@@ -234,6 +250,10 @@ impl Args {
             arguments.extend([flag.to_string(), endpoint.to_string()]);
         }
         arguments
+    }
+
+    fn room_arguments(&self, endpoint: &str) -> Vec<String> {
+        self.process_arguments(ROOM, &[("--listen", endpoint)])
     }
 
     fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {

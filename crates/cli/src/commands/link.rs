@@ -15,12 +15,12 @@ use serde::Serialize;
 
 use super::mirrors::{Instant, check_inside, parse_position};
 use super::number_table;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::{exit, outln};
 
 /// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
-#[command(group = clap::ArgGroup::new("positions").required(true))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
@@ -134,7 +134,10 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
             .collect(),
         None => args.user.iter().map(|text| parse_user(text)).collect::<Result<_>>()?,
     };
-    ensure!(!rows.is_empty(), "no users: give a CSV with at least one line after the header, or --user X,Y");
+    if rows.is_empty() {
+        let advice = "no users: give --user X,Y, or --users with a CSV of at least one line after the header";
+        return Err(UnusableInput::new(advice).into());
+    }
     ensure!(
         rows.len() <= USERS_MAX,
         "{} users; expected at most {USERS_MAX}, the largest number in a room",
@@ -169,7 +172,6 @@ fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
     Ok(())
 }
 
-/// A line of the file of obstacles.
 /// Obstacles and bodies, each with its name in the report.
 fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<Cylinder>, Vec<String>)> {
     let mut blockers: Vec<Cylinder> = match args.obstacles.as_str() {

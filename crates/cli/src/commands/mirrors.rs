@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use heliostat_channel::solver::{Method, MinimumRates, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
 use heliostat_core::observation::{Observation, RoomState};
-use heliostat_core::policy::{PolicyKind, removed};
+use heliostat_core::policy::PolicyKind;
 use heliostat_models::{ActorSource, build};
 use heliostat_scenario::{Room, Scenario};
 use heliostat_service::counted::counted;
@@ -88,8 +88,6 @@ impl<'a> Instant<'a> {
             actor.act(self.model, &self.observation, &mut angles)?;
         } else if Path::new(how).exists() {
             angles = from_file(how, mirrors)?;
-        } else if let Some(removed) = removed(how) {
-            bail!("mirrors {how}: {removed}");
         } else {
             let policies: Vec<String> = PolicyKind::value_variants().iter().map(|kind| kind.name()).collect();
             bail!(

@@ -16,7 +16,7 @@ use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_i
 use serde_json::json;
 
 use super::join::Unconnected;
-use order::{Order, unsent};
+use order::{Order, Purpose};
 use words::{
     HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_in_words,
     release_in_words, with_reach, with_releases, with_state, with_stops,
@@ -107,7 +107,7 @@ struct OrderArgs {
 pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let begun = Instant::now();
-    let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
+    let order = Order::new(Purpose::Stop, args.order.operator.as_deref(), args.order.timeout);
     // Nothing keeps a stop that is held from being sent.
     let end = args.hold.then(|| args.end.stop());
     // Every role may stop the array, so any certificate of the folder serves.
@@ -115,8 +115,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
     let release = Release::new(&args.order.bus, rights);
     match &end {
-        None => order.end_with_a_word("heliostat stop", given(release.clone())),
-        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given(release.clone())),
+        None => order.end_with_a_word(given(release.clone())),
+        Some(Ok(end)) => order.end_at(end.clone(), given(release.clone())),
         // It shows when the stop is held.
         Some(Err(_)) => {}
     }
@@ -189,10 +189,9 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
-    let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
-    order.end_with_a_word("heliostat rearm", |_| {
-        "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned()
-    });
+    let order = Order::new(Purpose::Rearm, args.order.operator.as_deref(), args.order.timeout);
+    order
+        .end_with_a_word(|_| "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned());
     let room = order.join_widely(args.order.bus.config_or_connect(&[AccessRole::Operator])?)?;
     let release = Release::new(&args.order.bus, Rights::All);
     let switch = &order.switch;
@@ -264,7 +263,7 @@ impl OrderArgs {
             }
         }
         match unusable {
-            Some(error) => Err(exit::unusable(unsent(&Unconnected::advised(error)))),
+            Some(error) => Err(exit::unusable(Purpose::Stop.unsent(&Unconnected::advised(error)))),
             None => Ok(self.bus.config_or_connect(&AccessRole::ALL)?),
         }
     }

@@ -10,15 +10,17 @@ fn error_of(arguments: &[&str]) -> String {
     assert!(!ended.status.success(), "{arguments:?}");
     let object: Value = serde_json::from_slice(&ended.stdout).unwrap_or_else(|error| panic!("{arguments:?}: {error}"));
     let error = object["error"].as_str().unwrap_or_else(|| panic!("{arguments:?}: {object}")).to_owned();
-    let errors = String::from_utf8_lossy(&ended.stderr).into_owned();
-    assert!(errors.contains(error.lines().next().expect("words")), "{arguments:?}: {errors} instead of {error}");
+    let in_one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let errors = in_one_line(&String::from_utf8_lossy(&ended.stderr));
+    assert!(errors.contains(&in_one_line(&error)), "{arguments:?}: {errors} instead of {error}");
     error
 }
 
 #[test]
 fn a_refused_input_is_also_an_object() {
     for (arguments, part) in [
-        (&["link", "--user", "1,1", "--json", "--scenario", "nope"][..], "nope"),
+        (&["link", "--json"][..], "no users: give --user X,Y"),
+        (&["link", "--user", "1,1", "--json", "--scenario", "nope"], "nope"),
         (&["link", "--user", "1,1", "--json", "--set", "users.count=0"], "users.count"),
         (&["replay", "none.mcap", "--verify", "--json"], "none.mcap"),
         (&["keys", "show", "--json", "--dir", "no-such-folder"], "no-such-folder"),
@@ -34,6 +36,8 @@ fn a_refused_command_line_is_also_an_object_without_its_usage() {
     assert!(error.starts_with("unexpected argument '--xyz' found") && !error.contains("Usage"), "{error}");
     let error = error_of(&["link", "--seed", "x", "--json"]);
     assert!(error.starts_with("invalid value 'x' for '--seed <SEED>': expected a whole number from 0 to "), "{error}");
+    let error = error_of(&["record", "--json"]);
+    assert_eq!(error, "the following required arguments were not provided: --out <FILE.mcap>");
 }
 
 #[test]

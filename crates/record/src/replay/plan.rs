@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use heliostat_core::policy::{PolicyKind, removed};
+use heliostat_core::policy::PolicyKind;
 use heliostat_proto::{ControllerInput, EPOCH_SLOTS, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
@@ -304,13 +304,12 @@ fn no_report(unreadable: &Unreadable, was_cut: bool) -> Error {
 
 /// Why this program cannot decide by a recorded policy.
 fn not_replayable(policy: &str) -> Error {
-    match removed(policy) {
-        Some(removed) => anyhow!("its {}: give another with --policy", removed.fact()),
-        None if policy == FUNCTION => anyhow!(
+    if policy == FUNCTION {
+        return anyhow!(
             "a function in Python decided (heliostat.run), which no replay can call; give a built-in policy to compare with in --policy"
-        ),
-        None => anyhow!("the recorded policy \"{policy}\" is unknown to this program; give another with --policy"),
+        );
     }
+    anyhow!("the recorded policy \"{policy}\" is unknown to this program; give another with --policy")
 }
 
 /// The kind of input that a message is to a controller.

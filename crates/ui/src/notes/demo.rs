@@ -5,8 +5,8 @@ use crate::notes::NO_CONTROLLER;
 
 /// [`NO_CONTROLLER`] beside a page whose button restarts the controller.
 const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press restart on the page";
-/// What to do about the simulator of a demo, which no command starts alone.
-const CONTINUE_SIMULATOR: &str = "its process is paused or hangs; continue it, or end the demo and start it again";
+/// What to do about the simulator of a demo.
+const CONTINUE_SIMULATOR: &str = "its process has ended, is paused or hangs; start it by the command in the terminal, continue it, or end the demo and start it again";
 
 /// These notes as a demo shows them: its button restarts the controller. Its simulator is the only array and tracker, so
 /// where that is silent, one note about it is all.

@@ -1,7 +1,7 @@
 //! `heliostat-lab calibrate`: how well `heliostat calibrate` measures rooms, and what that is worth.
 
 use anyhow::{Result, ensure};
-use heliostat_core::policy::{NameParser, PolicyKind};
+use heliostat_core::policy::PolicyKind;
 use heliostat_learn::calibrate::{Row, Settings, Study, study};
 use heliostat_learn::evaluation::Estimate;
 use heliostat_scenario::ScenarioArgs;
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     episodes: u32,
     /// Policy that serves the rooms
-    #[arg(long, default_value = "greedy", value_parser = NameParser::<PolicyKind>::default())]
+    #[arg(long, value_enum, default_value = "greedy")]
     policy: PolicyKind,
     /// Position and channel reports a second during a calibration
     #[arg(long, value_name = "HZ", default_value_t = 20.0)]

@@ -37,8 +37,9 @@ fn mean(report: &Value, policy: &str, figure: &str) -> f64 {
     report["policies"][policy][figure]["mean"].as_f64().unwrap_or_else(|| panic!("{policy} {figure} in {report}"))
 }
 
-/// The reproducible part of a report: everything except times.
+/// The reproducible part of a report: everything except times, and the number of threads that disturb them.
 fn without_times(mut report: Value) -> Value {
+    report.as_object_mut().expect("an object").remove("threads");
     for row in report["policies"].as_object_mut().expect("an object").values_mut() {
         row.as_object_mut().expect("an object").remove("decision_us");
     }
@@ -104,6 +105,19 @@ fn any_number_of_threads_gives_the_same_figures() {
     }
     let message = refusal(&["--threads", "0"]);
     assert!(message.contains("--threads"), "{message}");
+}
+
+#[test]
+fn decision_times_beside_other_threads_are_said_to_be_disturbed() {
+    let closed_loop = ["--closed-loop", "--episodes", "2"];
+    for (threads, mode, is_noted) in
+        [("1", &closed_loop[..], false), ("2", &closed_loop[..], true), ("2", &["--states", "2"], false)]
+    {
+        let flags = [&["--policies", "nearest", "--seeds", "1", "--threads", threads], mode].concat();
+        let table = String::from_utf8(eval(&flags).stdout).expect("text");
+        assert_eq!(table.contains("--threads 1 measures them undisturbed"), is_noted, "{threads} {mode:?}: {table}");
+        assert_eq!(report(&flags)["threads"].to_string(), threads);
+    }
 }
 
 #[test]

@@ -70,7 +70,7 @@ impl EvaluatedPolicy {
                     "unknown policy \"{name}\": expected {known}, the path of a file FILE.onnx, or FILE.py:FUNCTION{hint}"
                 )
             };
-            let kind = PolicyKind::find(name, unknown).map_err(UnknownPolicy)?;
+            let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy(unknown()))?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
         Ok(Self { name: name.into(), origin, belief: None, known: None, unaware: false })

@@ -4,7 +4,6 @@ use heliostat_onnx::standard::VersionError;
 use thiserror::Error;
 
 use super::{ANGLES, CODEBOOK, WEIGHTS, key, metadata::quoted};
-use crate::policy::removed::Removed;
 
 /// Why an actor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -66,12 +65,6 @@ pub enum ActorProblem {
     Foreign {
         /// What it is, and what to do.
         what: String,
-    },
-    /// The action was removed.
-    #[error(": {removed}")]
-    RemovedAction {
-        /// What was removed.
-        removed: Removed,
     },
     /// Inputs or outputs have other names or another number.
     #[error(" has {side} {found:?}, expected exactly one, \"{expected}\"; {}", one_port(side, found, expected))]

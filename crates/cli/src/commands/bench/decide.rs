@@ -18,7 +18,7 @@ use heliostat_controller::report::stage_times::{BUDGET, StageStamps, StageTimes,
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
 use heliostat_core::observation::Observation;
-use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::ActorFile};
+use heliostat_core::policy::{Actor, Policy, PolicyKind, actor_file::ActorFile};
 use heliostat_models::{ActorSource, BareSession, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
@@ -43,7 +43,7 @@ pub struct Args {
     pace: PaceArgs,
     /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
     /// policies]
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
+    #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE", requires = "policy")]

@@ -21,6 +21,8 @@ pub struct ChildProcess {
     last_lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
     answer: Arc<Mutex<Option<String>>>,
+    /// Whether its end without a request was reported.
+    is_end_reported: bool,
 }
 
 impl ChildProcess {
@@ -50,7 +52,7 @@ impl ChildProcess {
                 lines.push_back(line);
             }),
         ];
-        Ok(Self { name, process, last_lines, readers, answer })
+        Ok(Self { name, process, last_lines, readers, answer, is_end_reported: false })
     }
 
     /// The process id.
@@ -58,9 +60,15 @@ impl ChildProcess {
         self.process.id()
     }
 
-    /// An error with the last output of the process if it has ended without a request.
+    /// Its command.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Once an error with the last output of the process, if it has ended without a request.
     pub fn check_alive(&mut self) -> Result<()> {
-        match self.process.try_wait().with_context(|| format!("cannot watch the {} process", self.name))? {
+        let status = self.process.try_wait().with_context(|| format!("cannot watch the {} process", self.name))?;
+        match status.filter(|_| !std::mem::replace(&mut self.is_end_reported, true)) {
             None => Ok(()),
             Some(status) => bail!(self.end_report(status)),
         }

@@ -2,12 +2,14 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Error, Result};
 use heliostat_ui::ProcessOrder;
 use serde_json::Value;
 
 use super::child::ChildProcess;
 
+/// The command of the room's process.
+pub const ROOM: &str = "sim-node";
 /// Time limit for the end of a process after the request.
 const END_LIMIT: Duration = Duration::from_secs(10);
 
@@ -24,7 +26,7 @@ impl Processes {
     /// Starts both.
     pub fn start(room: &[String], controller: &[String]) -> Result<Self> {
         Ok(Self {
-            room: ChildProcess::start("sim-node", room)?,
+            room: ChildProcess::start(ROOM, room)?,
             controller: Some(ChildProcess::start("controller", controller)?),
             controllers: 1,
         })
@@ -35,10 +37,11 @@ impl Processes {
         (self.room.id(), self.controller.as_ref().map(ChildProcess::id))
     }
 
-    /// An error with the last output of a process that ended without a request.
-    pub fn check_alive(&mut self) -> Result<()> {
-        self.room.check_alive()?;
-        self.controller.as_mut().map_or(Ok(()), ChildProcess::check_alive)
+    /// The command of the next process that has ended without a request, and an error with its last output; each end
+    /// once.
+    pub fn next_ended(&mut self) -> Option<(&'static str, Error)> {
+        let mut processes = [Some(&mut self.room), self.controller.as_mut()].into_iter().flatten();
+        processes.find_map(|process| process.check_alive().err().map(|error| (process.name(), error)))
     }
 
     /// Kills the controller, or replaces it; `arguments` are those of the new one. A controller that hangs is

@@ -25,9 +25,38 @@ const JOINED_WITHIN: Duration = Duration::from_secs(2);
 /// Time between two attempts to join through an endpoint that has not answered.
 const AGAIN_EVERY: Duration = Duration::from_secs(1);
 
+/// What an order does.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Purpose {
+    Stop,
+    Rearm,
+}
+
+impl Purpose {
+    fn program(self) -> &'static str {
+        match self {
+            Self::Stop => "heliostat stop",
+            Self::Rearm => "heliostat rearm",
+        }
+    }
+
+    /// What an operator has to know where no process answers.
+    pub fn unsent(self, reason: &Unconnected) -> anyhow::Error {
+        let known = "Nothing was sent, and nothing is known about the arrays";
+        let advised =
+            format!("{known}: give --connect the endpoint of the controller, of the driver or of their router");
+        let consequence = match self {
+            Self::Stop => "To stop the mirrors now, cut their power",
+            Self::Rearm => "Each stop that is in force stays so",
+        };
+        anyhow!("{}. {consequence}", reason.with_either(known, &advised))
+    }
+}
+
 /// An order on its way: its switch, and the sessions through which it goes out.
 pub(super) struct Order {
     pub switch: Arc<StopSwitch>,
+    purpose: Purpose,
     sessions: Arc<Mutex<Vec<Bus>>>,
     /// Longest wait for a process that accepts connections.
     limit: Duration,
@@ -82,11 +111,12 @@ impl Place {
 
 impl Order {
     /// An order of this operator, or of the user. `timeout` bounds the wait for a connection too.
-    pub fn new(operator: Option<&str>, timeout: Duration) -> Self {
+    pub fn new(purpose: Purpose, operator: Option<&str>, timeout: Duration) -> Self {
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = operator.map_or_else(user, str::to_owned);
         Self {
             switch: Arc::new(StopSwitch::new(&operator)),
+            purpose,
             sessions: Arc::default(),
             limit: JOINED_WITHIN.min(timeout),
             is_sent: Arc::default(),
@@ -95,18 +125,18 @@ impl Order {
     }
 
     /// Ends at a signal with what is known of the order: what `sent` returns, or that nothing was sent.
-    pub fn end_with_a_word(&self, program: &'static str, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
+    pub fn end_with_a_word(&self, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
         // Nothing keeps an order from being sent.
         if let Ok(end) = stop_on_signals() {
-            self.end_at(end, program, sent);
+            self.end_at(end, sent);
         }
     }
 
     /// The same at a request, until the stop is only held: that has an end of its own.
-    pub fn end_at(&self, end: Stop, program: &'static str, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
+    pub fn end_at(&self, end: Stop, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
         let (is_sent, is_held) = (Arc::clone(&self.is_sent), Arc::clone(&self.is_held));
         let switch = Arc::downgrade(&self.switch);
-        end_on_request(end, program, move || {
+        end_on_request(end, self.purpose.program(), move || {
             // Without its switch the order is over, and its result is printed.
             let said = match is_sent.load(Ordering::SeqCst) {
                 true => {
@@ -198,7 +228,7 @@ impl Order {
     /// Joins the room through each endpoint that reaches processes of its own.
     pub fn join_widely(&self, config: BusConfig) -> Result<Room> {
         if !is_joined_through(&config) {
-            self.add(join(&config, self.limit).map_err(|reason| unsent(&reason))?)?;
+            self.add(join(&config, self.limit).map_err(|reason| self.purpose.unsent(&reason))?)?;
             return Ok(config.room);
         }
         let (sessions, unanswered) = join_all_through(&config, ACCEPTS_WITHIN);
@@ -219,7 +249,7 @@ impl Order {
             let (sessions, _) = join_all_through(config, left);
             (!sessions.is_empty()).then_some(sessions)
         });
-        let sessions = sessions.map_err(|reason| unsent(&reason))?;
+        let sessions = sessions.map_err(|reason| self.purpose.unsent(&reason))?;
         sessions.into_iter().try_for_each(|bus| self.add(bus))?;
         Ok(config.room.clone())
     }
@@ -233,13 +263,6 @@ impl Order {
         let closed: Vec<_> = closing.into_iter().map(|thread| thread.join().unwrap_or(Ok(()))).collect();
         closed.into_iter().collect()
     }
-}
-
-/// What an operator has to know where no process answers.
-pub(super) fn unsent(reason: &Unconnected) -> anyhow::Error {
-    let known = "Nothing was sent, and nothing is known about the arrays";
-    let advised = format!("{known}: give --connect the endpoint of the controller, of the driver or of their router");
-    anyhow!("{}. To stop the mirrors now, cut their power", reason.with_either(known, &advised))
 }
 
 /// Says why one of several endpoints has no connection.
@@ -268,7 +291,7 @@ mod tests {
 
     #[test]
     fn only_a_reason_that_names_no_remedy_of_its_own_gets_one() {
-        let keys = unsent(&Unconnected::advised("the certificate expired: renew it")).to_string();
+        let keys = Purpose::Stop.unsent(&Unconnected::advised("the certificate expired: renew it")).to_string();
         assert_eq!(
             keys,
             "the certificate expired: renew it. Nothing was sent, and nothing is known about the arrays. To stop the \
@@ -277,7 +300,10 @@ mod tests {
         let absent = free_loopback_endpoint().expect("a free port");
         let config = BusConfig::new(Room::new("unsent").expect("a valid name")).connect_to(&absent);
         let refused = join(&config, Duration::ZERO).err().expect("no process is there");
-        let refused = unsent(&refused).to_string();
-        assert!(refused.contains("about the arrays: give --connect the endpoint of the controller"), "{refused}");
+        for (purpose, end) in [(Purpose::Stop, "cut their power"), (Purpose::Rearm, "stop that is in force stays so")] {
+            let refused = purpose.unsent(&refused).to_string();
+            assert!(refused.contains("about the arrays: give --connect the endpoint of the controller"), "{refused}");
+            assert!(refused.ends_with(end), "{refused}");
+        }
     }
 }

@@ -16,7 +16,7 @@ use heliostat_service::printable::{printable, printable_lines};
 
 use super::cells::{ber, difference, interval, number, rows};
 use super::differences::{Difference, marked_name};
-use super::notes::notes_on_episodes;
+use super::notes::{note_on_times, notes_on_episodes};
 use super::origin;
 use super::output::{BELIEF_NOTE, BLOCKED, belief_columns, blocked_states, users};
 use super::sweep::{Grid, Sweep};
@@ -214,6 +214,9 @@ fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
             Loop::ClosedLoop => "belief, observation and policy",
         };
         writeln!(page, "<li>Decision time: of {of}, on this machine.</li>")?;
+    }
+    if let Some(note) = note_on_times(report) {
+        writeln!(page, "<li>{}</li>", escape(&note))?;
     }
     if !report.beliefs.is_empty() {
         writeln!(page, "<li>Belief, against the truth at the predicted instant: {}.</li>", escape(BELIEF_NOTE))?;

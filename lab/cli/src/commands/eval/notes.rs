@@ -23,6 +23,19 @@ pub fn notes_on_episodes(reports: &[Report], sweep: Option<&Grid>) -> Vec<String
     notes
 }
 
+/// That the threads of a comparison disturb its decision times: those of episodes in closed loop, and of several actors
+/// of a policy. A single policy decides alone on the states of a static comparison.
+pub fn note_on_times(report: &Report) -> Option<String> {
+    let mut timed = report.policies.iter().filter(|(_, row)| row.decision_us.is_some());
+    let is_divided = |row: &Row| report.mode == Loop::ClosedLoop || row.training_seeds.is_some_and(|seeds| seeds > 1);
+    (report.threads > 1 && timed.any(|(_, row)| is_divided(row))).then(|| {
+        format!(
+            "decision times: beside the work of {} threads, which disturbs them; --threads 1 measures them undisturbed",
+            report.threads
+        )
+    })
+}
+
 /// A warning that there are few independent episodes, and the flag that gives more for each seed.
 fn few_episodes(found: &str, flag: &str, seeds: usize, is_single: bool) -> String {
     let of_seed = EPISODES_MIN.div_ceil(seeds);

@@ -9,7 +9,7 @@ use heliostat_service::outln;
 
 use super::cells::{ber, difference, interval, number, of_policy, rows};
 use super::differences::{Difference, marked_name};
-use super::notes::notes_on_episodes;
+use super::notes::{note_on_times, notes_on_episodes};
 use super::sweep::{Grid, Sweep};
 use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE, ORACLE, exceeds_one};
 
@@ -77,6 +77,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
+    note_on_times(report).iter().try_for_each(|note| outln!("{note}"))?;
     note_on_near_best(std::slice::from_ref(report))?;
     note_on_ratios(std::slice::from_ref(report))?;
     outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_files::{folder_of, is_direct, write_advice, write_whole};
 use thiserror::Error;
 
-use crate::exit::UnusableInput;
+use crate::exit::{UnusableInput, unusable};
 use crate::file_id::file_id;
 use crate::output::note;
 
@@ -29,12 +29,12 @@ const HOLD_TRIES: usize = 100;
 /// not appear, and existing content stays. Others may check the same file at the same time.
 ///
 /// # Errors
-/// A folder that does not exist, a file that this user cannot write, or `-`.
+/// [`UnusableInput`] for a folder that does not exist, a file that this user cannot write, or `-`.
 pub fn check_writable(file: &Path) -> Result<()> {
     if file == Path::new("-") {
         bail!(UnusableInput::new("cannot write -: expected a file; /dev/stdout is standard output"));
     }
-    let refused = |error| unwritable(file, error, EXPECTED);
+    let refused = |error| unusable(unwritable(file, error, EXPECTED));
     // To open a pipe is to wait for its reader, and to close it ends the work of that reader.
     if is_pipe(file) {
         return Ok(());
@@ -66,7 +66,7 @@ fn unwritable(file: &Path, error: io::Error, expected: &str) -> anyhow::Error {
 /// As [`check_writable`], for a file that other commands read: it refuses one that exists. A pipe or device may exist.
 ///
 /// # Errors
-/// [`UnusableInput`] for a file that exists; those of [`check_writable`].
+/// [`UnusableInput`] for a file that exists, or as of [`check_writable`].
 pub fn check_new(file: &Path) -> Result<()> {
     let exists = || {
         UnusableInput::new(format!(

@@ -1,7 +1,7 @@
 //! The command line as arguments of a command, with advice where a scenario or a file is given without its flag, or a
 //! flag by the name that other programs use, and with the numbers that a flag takes where it refuses one.
 //!
-//! A command with `--json` that fails, or that is refused, also prints `{"error": "…"}`, where it has printed no object.
+//! A command with `--json` that fails, is refused or is interrupted also prints `{"error": "…"}`, where it has printed no object.
 
 mod numbers;
 
@@ -25,7 +25,8 @@ static USUAL: [(&[&str], &[&str]); 5] = [
 
 /// Runs a program whose commands are those of `C`, prints its error, and gives its exit code.
 pub fn run<C: CommandFactory>(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
-    exit::run(program, || command().inspect_err(|error| print_object::<C>(&format!("{error:#}"))))
+    exit::also_report(print_object::<C>);
+    exit::run(program, command)
 }
 
 /// The arguments of a program; it ends where they cannot be used, and where they ask for help.

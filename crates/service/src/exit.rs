@@ -10,6 +10,7 @@
 use std::error::Error;
 use std::fmt;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use heliostat_bus::{BusError, KeyError};
 use heliostat_scenario::{ScenarioError, TraceFileError};
@@ -54,12 +55,29 @@ pub fn unusable(error: impl Into<anyhow::Error>) -> anyhow::Error {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Runs a command with enough open files, prints its error to standard error, and gives the exit code of the program.
+/// What else reports an error, beside the note on standard error.
+static ALSO: OnceLock<fn(&str)> = OnceLock::new();
+
+/// From now on the error of a command that fails or is interrupted is passed to this function too.
+pub fn also_report(report: fn(&str)) {
+    // The program sets it once, where it begins.
+    let _ = ALSO.set(report);
+}
+
+/// Prints the error of a program or command to standard error, and reports it as [`also_report`] says.
+pub fn report(of: &str, error: &str) {
+    if let Some(also) = ALSO.get() {
+        also(error);
+    }
+    output::note(format_args!("{of}: {error}"));
+}
+
+/// Runs a command with enough open files, reports its error, and gives the exit code of the program.
 pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
     match allow_files().and_then(|()| command()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            output::note(format_args!("{program}: {error:#}"));
+            report(program, &format!("{error:#}"));
             ExitCode::from(code(&error))
         }
     }

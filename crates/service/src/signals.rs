@@ -14,8 +14,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::duration;
-use crate::exit::INTERRUPTED;
-use crate::output::note;
+use crate::exit::{INTERRUPTED, report};
 use crate::stop::Stop;
 
 /// The environment variable of a [`part`].
@@ -86,7 +85,7 @@ pub fn end_on_request(stop: Stop, program: &'static str, said: impl Fn() -> Opti
         stop.wait();
         let Some(said) = said() else { return };
         if std::env::var_os(PART).is_none() {
-            note(format_args!("{program}: interrupted: {said}"));
+            report(program, &format!("interrupted: {said}"));
         }
         std::process::exit(INTERRUPTED.into());
     });

@@ -88,6 +88,9 @@ fn what_the_user_typed_or_named_and_cannot_be_used_has_one_exit_status() {
         "driver run --config absent.toml",
         "replay absent.mcap",
         "link --user 1",
+        "calibrate --out new.toml --array 16",
+        "calibrate apply absent.toml --array 16",
+        "doctor --array 16",
         "link --users absent.csv",
         "link --user 1,1 --obstacles absent.csv",
     ] {

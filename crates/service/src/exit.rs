@@ -66,10 +66,10 @@ pub fn also_report(report: fn(&str)) {
 
 /// Prints the error of a program or command to standard error, and reports it as [`also_report`] says.
 pub fn report(of: &str, error: &str) {
+    output::note(format_args!("{of}: {error}"));
     if let Some(also) = ALSO.get() {
         also(error);
     }
-    output::note(format_args!("{of}: {error}"));
 }
 
 /// Runs a command with enough open files, reports its error, and gives the exit code of the program.

@@ -412,8 +412,11 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
             None => refuse("it has no port".to_owned()),
             Some(_) if address.ends_with(']') => refuse("it has no port".to_owned()),
             Some(("", _)) => refuse("it has no host".to_owned()),
-            Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),
-            Some(_) => Ok(()),
+            Some((_, port)) => match port.parse::<u16>() {
+                Ok(0) => refuse("its port is 0, which selects one that no other process knows".to_owned()),
+                Ok(_) => Ok(()),
+                Err(_) => refuse(format!("\"{port}\" is not a port")),
+            },
         },
         "unixsock-stream" if HAS_UNIX_SOCKETS => Ok(()),
         "unixsock-stream" => refuse("Unix sockets need Linux or macOS".to_owned()),

@@ -41,7 +41,7 @@ enum Command {
 #[derive(Clone, Copy, Debug, clap::Args)]
 struct ArrayArgs {
     /// Index of the array in a room with several ([[mirrors]] in the scenario), from 0
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = index)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = array_index)]
     array: usize,
 }
 
@@ -197,8 +197,11 @@ fn array_of(key: &str) -> Result<(Room, usize)> {
     .into())
 }
 
-/// The index of an array.
-fn index(text: &str) -> Result<usize, String> {
+/// The index of an array, as a flag has it.
+///
+/// # Errors
+/// What was expected of a text that is no index of an array of a room.
+pub fn array_index(text: &str) -> Result<usize, String> {
     let index = text.parse().ok().filter(|index| (0..MAX_ARRAYS).contains(index));
     index.ok_or_else(|| format!("expected an integer from 0 to {}", MAX_ARRAYS - 1))
 }

@@ -228,9 +228,13 @@ fn in_words(message: &str) -> String {
     let real = ["f64", "f32"].map(|name| (name, "a number"));
     let lists = [("a sequence", "a list"), ("an array of length", "numbers in a list of length")];
     let named = whole.into_iter().chain(real).chain(lists);
-    named.fold(message.to_owned(), |text, (name, words)| {
-        text.replace(&format!("expected {name}"), &format!("expected {words}"))
-    })
+    let expected = named.map(|(name, words)| (format!("expected {name}"), format!("expected {words}")));
+    // The parser passes a date on as a table.
+    let found = [("map", "a table or a date"), ("sequence", "a list")];
+    let found = found.map(|(name, words)| (format!("invalid type: {name}, "), format!("invalid type: {words}, ")));
+    let large = ["i128", "u128"].map(|name| (format!("` as {name}, "), "`, ".to_owned()));
+    let words = expected.chain(found).chain(large);
+    words.fold(message.to_owned(), |text, (name, words)| text.replace(&name, &words))
 }
 
 /// A line with the beginning of each long part between quotation marks.
@@ -294,6 +298,12 @@ mod tests {
             (
                 "rows = 1.5",
                 "line 1: rows: invalid type: floating point `1.5`, expected a whole number from 0 to 9223372036854775807",
+            ),
+            ("rows = 2026-01-02", "line 1: rows: invalid type: a table or a date, expected a whole number from 0 to "),
+            ("rows = [1]", "line 1: rows: invalid type: a list, expected a whole number from 0 to "),
+            (
+                "rows = 99999999999999999999",
+                "line 1: rows: invalid type: integer `99999999999999999999`, expected a whole number from 0 to ",
             ),
             (
                 "rows = 1\n[axis]\ngain = [1.0, \"x\"]",

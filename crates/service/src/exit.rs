@@ -2,14 +2,13 @@
 //!
 //! | code | meaning |
 //! | --- | --- |
-//! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
+//! | 0 | the command did what it was asked, also where the reader of its output closed the pipe |
 //! | 1 | it failed, or it checked something and found it wrong |
 //! | 2 | what the user typed or named cannot be used: a flag, a scenario, a policy, an endpoint, keys or another file |
 //! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved, also in a process that it started |
 
 use std::error::Error;
 use std::fmt;
-use std::io;
 use std::process::ExitCode;
 
 use heliostat_bus::{BusError, KeyError};
@@ -58,7 +57,6 @@ pub struct Interrupted;
 pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
     match command() {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             output::error(program, &format!("{error:#}"));
             ExitCode::from(code(&error))
@@ -82,11 +80,6 @@ fn is_of_user(error: &(dyn Error + 'static)) -> bool {
         || error.is::<TraceFileError>()
         || error.downcast_ref::<BusError>().is_some_and(BusError::is_of_settings)
         || error.downcast_ref::<KeyError>().is_some_and(|keys| BusError::from(keys.clone()).is_of_settings())
-}
-
-/// Whether the reader of standard output, such as `head`, has closed it.
-fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
 #[cfg(test)]
@@ -122,8 +115,8 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_pipe_is_no_failure() {
-        assert!(is_closed_pipe(&io::Error::from(io::ErrorKind::BrokenPipe).into()));
-        assert!(!is_closed_pipe(&io::Error::from(io::ErrorKind::NotFound).into()));
+    fn a_file_or_socket_that_its_reader_closed_is_a_failure() {
+        let closed = anyhow::Error::from(std::io::Error::from(std::io::ErrorKind::BrokenPipe));
+        assert_eq!(code(&closed.context("cannot write figures.csv")), FAILURE);
     }
 }

@@ -15,17 +15,18 @@ static ENDS_WITH_OBJECT: AtomicBool = AtomicBool::new(false);
 /// What also takes the error that ends this process.
 static ERROR_REPORT: OnceLock<fn(&str)> = OnceLock::new();
 
-/// `println!` that returns an error instead of a panic when the reader has closed the pipe.
+/// `println!` that returns an error instead of a panic where standard output cannot be written.
 #[macro_export]
 macro_rules! outln {
     () => { $crate::output::line("") };
     ($($argument:tt)*) => { $crate::output::line(format_args!($($argument)*)) };
 }
 
-/// Writes a text and a line end to standard output.
+/// Writes a text and a line end to standard output. A reader that has closed it, such as `head`, is no error: the
+/// command goes on, and its exit code is that of its work.
 ///
 /// # Errors
-/// The text cannot be written, for example because the reader has closed the pipe; `println!` would panic then.
+/// The text cannot be written, for example because the disk is full; `println!` would panic then.
 pub fn line(text: impl Display) -> io::Result<()> {
     self::text(format_args!("{text}\n"))
 }
@@ -35,9 +36,19 @@ pub fn line(text: impl Display) -> io::Result<()> {
 /// # Errors
 /// As [`line()`].
 pub fn text(text: impl Display) -> io::Result<()> {
-    let text = text.to_string();
-    ENDS_WITH_OBJECT.store(is_object(&text), Ordering::Relaxed);
-    flushed(write_text(&mut io::stdout().lock(), text))
+    unless_closed(write_result(text))
+}
+
+/// Writes a text and a line end to standard output; to standard error too where standard output does not take it.
+///
+/// # Errors
+/// As [`line()`].
+pub fn outcome(text: impl Display) -> io::Result<()> {
+    let written = write_result(format_args!("{text}\n"));
+    if written.is_err() {
+        note(text);
+    }
+    unless_closed(written)
 }
 
 /// Whether the last text on standard output is an object in JSON, which a reader of JSON expects to be the only one or
@@ -63,7 +74,25 @@ pub fn bytes(bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`line()`].
 pub fn flushed(written: io::Result<()>) -> io::Result<()> {
+    unless_closed(complete(written))
+}
+
+fn write_result(text: impl Display) -> io::Result<()> {
+    let text = text.to_string();
+    ENDS_WITH_OBJECT.store(is_object(&text), Ordering::Relaxed);
+    complete(write_text(&mut io::stdout().lock(), text))
+}
+
+fn complete(written: io::Result<()>) -> io::Result<()> {
     written.and_then(|()| io::stdout().flush()).map_err(|error| unwritten(&error))
+}
+
+/// The result of a write, whose reader may have gone.
+fn unless_closed(written: io::Result<()>) -> io::Result<()> {
+    match written {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
 }
 
 /// Writes a text and a line end to standard error. A closed standard error is ignored.
@@ -79,14 +108,14 @@ pub fn also_report_error(report: fn(&str)) {
 }
 
 /// Writes the error that ends this process to standard error, with the name of its program.
-pub(crate) fn error(program: &str, text: &str) {
+pub fn error(program: &str, text: &str) {
     note(format_args!("{program}: {text}"));
     if let Some(report) = ERROR_REPORT.get() {
         report(text);
     }
 }
 
-/// The error of a write to standard output: its kind stays, so that a closed pipe is still told from a full disk.
+/// The error of a write to standard output: its kind stays, which tells a closed pipe from a full disk.
 fn unwritten(error: &io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("cannot write to standard output: {error}"))
 }
@@ -104,6 +133,8 @@ mod tests {
         let error = unwritten(&io::Error::new(io::ErrorKind::StorageFull, "no space"));
         assert_eq!(error.to_string(), "cannot write to standard output: no space");
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        assert!(unless_closed(Err(error)).is_err());
+        assert!(unless_closed(Err(unwritten(&io::ErrorKind::BrokenPipe.into()))).is_ok());
     }
 
     #[test]

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_files::{folder_of, is_direct, write_advice, write_whole};
 use thiserror::Error;
 
-use crate::exit::UnusableInput;
+use crate::exit::{UnusableInput, unusable};
 use crate::file_id::file_id;
 use crate::output::note;
 
@@ -29,16 +29,32 @@ const HOLD_TRIES: usize = 100;
 /// not appear, and existing content stays. Others may check the same file at the same time.
 ///
 /// # Errors
-/// A folder that does not exist, a file that this user cannot write, or `-`.
+/// [`UnusableInput`] for a folder that does not exist, a file that this user cannot write, or `-`.
 pub fn check_writable(file: &Path) -> Result<()> {
     if file == Path::new("-") {
         bail!(UnusableInput::new("cannot write -: expected a file; /dev/stdout is standard output"));
     }
-    let refused = |error| unwritable(file, error, EXPECTED);
+    let refused = |error| unusable(unwritable(file, error, EXPECTED));
+    // To open a pipe is to wait for its reader, and to close it ends the work of that reader.
+    if is_pipe(file) {
+        return Ok(());
+    }
     if file.exists() {
         return File::options().append(true).open(file).map(drop).map_err(refused);
     }
     tempfile::tempfile_in(folder_of(file)).map(drop).map_err(refused)
+}
+
+/// Whether a path names a pipe.
+#[cfg(unix)]
+fn is_pipe(file: &Path) -> bool {
+    fs::metadata(file).is_ok_and(|found| std::os::unix::fs::FileTypeExt::is_fifo(&found.file_type()))
+}
+
+/// Whether a path names a pipe.
+#[cfg(not(unix))]
+fn is_pipe(_file: &Path) -> bool {
+    false
 }
 
 /// The error of a file that is not written, with its name and what to do.
@@ -50,7 +66,7 @@ fn unwritable(file: &Path, error: io::Error, expected: &str) -> anyhow::Error {
 /// As [`check_writable`], for a file that other commands read: it refuses one that exists. A pipe or device may exist.
 ///
 /// # Errors
-/// [`UnusableInput`] for a file that exists; those of [`check_writable`].
+/// [`UnusableInput`] for a file that exists, or as of [`check_writable`].
 pub fn check_new(file: &Path) -> Result<()> {
     let exists = || {
         UnusableInput::new(format!(
@@ -165,7 +181,9 @@ pub fn hold(file: &Path) -> Result<Held> {
     let refused = || format!("cannot hold {}", file.display());
     let mut tries = 0..HOLD_TRIES;
     loop {
-        let lock = File::options().create(true).truncate(false).write(true).open(&path).with_context(refused)?;
+        // For reading too: a pipe of this name makes no process wait for its reader.
+        let mut options = File::options();
+        let lock = options.create(true).truncate(false).read(true).write(true).open(&path).with_context(refused)?;
         let cause = unlocked(lock.try_lock(), file)?;
         // A holder that ended meanwhile has removed the file: the lock would hold nothing.
         if !is_named(&lock, &path) && tries.next().is_some() {
@@ -309,6 +327,41 @@ mod tests {
         drop(held);
         drop(hold(&file).expect("free again"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "the file alone");
+    }
+
+    /// What work with a pipe gives that has no reader: work that waits for one fails.
+    #[cfg(unix)]
+    fn with_unread_pipe<T: Send + 'static>(at: &Path, work: impl FnOnce() -> T + Send + 'static) -> T {
+        let made = std::process::Command::new("mkfifo").arg(at).status().expect("mkfifo runs");
+        assert!(made.success(), "mkfifo {}", at.display());
+        let (sender, result) = std::sync::mpsc::channel();
+        std::thread::spawn(move || drop(sender.send(work())));
+        result.recv_timeout(std::time::Duration::from_secs(60)).expect("no wait for a reader")
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_check_of_a_pipe_waits_for_no_reader_and_its_reader_gets_the_text() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let pipe = folder.path().join("pipe");
+        let file = pipe.clone();
+        with_unread_pipe(&pipe, move || check_writable(&file)).expect("writable");
+        let file = pipe.clone();
+        let reader = std::thread::spawn(move || fs::read_to_string(file).expect("text"));
+        check_writable(&pipe).expect("writable");
+        write(&pipe, b"figures").expect("written");
+        assert_eq!(reader.join().expect("a text"), "figures");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_in_place_of_a_lock_makes_no_process_wait() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("readings.json");
+        let named = file.clone();
+        let held = with_unread_pipe(&beside(&file, ".lock"), move || hold(&named)).expect("free");
+        assert!(hold(&file).is_err(), "held");
+        drop(held);
     }
 
     #[cfg(unix)]

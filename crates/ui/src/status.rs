@@ -3,29 +3,18 @@
 mod stop_lines;
 
 use std::fmt;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
-use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::{ArrayState, UserReport, codec};
+use heliostat_proto::ArrayState;
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
+use crate::View;
 use crate::causes::{ALL_STAND_BY, NO_CONTROLLER_SEEN, NO_REPORTS, UNKNOWN_LEADER, causes_and_others, folded};
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
 use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
-use crate::{UiError, View};
-
-/// The position reports of a room since a subscription.
-pub struct ReportCount {
-    begun: Instant,
-    count: Arc<AtomicU64>,
-    _subscription: Subscription,
-}
 
 /// The state of a room.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -47,37 +36,15 @@ pub struct RoomStatus {
     pub figures: Figures,
 }
 
-impl ReportCount {
-    /// Counts from now on.
-    ///
-    /// # Errors
-    /// [`UiError::Bus`] if the session is closed.
-    pub fn open(bus: &Bus) -> Result<Self, UiError> {
-        let count = Arc::new(AtomicU64::new(0));
-        let of_subscription = Arc::clone(&count);
-        let subscription = bus.subscribe(&bus.room().users(), move |payload| {
-            if codec::decode::<UserReport>(payload).is_ok() {
-                of_subscription.fetch_add(1, Ordering::Relaxed);
-            }
-        })?;
-        Ok(Self { begun: Instant::now(), count, _subscription: subscription })
-    }
-
-    /// Reports a second.
-    fn rate(&self) -> f64 {
-        self.count.load(Ordering::Relaxed) as f64 / self.begun.elapsed().as_secs_f64().max(1e-3)
-    }
-}
-
 impl RoomStatus {
-    /// The state that a view and a count show.
-    pub fn new(room: &str, view: &View, reports: &ReportCount) -> Self {
+    /// The state that a view shows.
+    pub fn new(room: &str, view: &View) -> Self {
         let of_stops = view.stops.room();
         let mut status = Self {
             room: room.to_owned(),
             stops: stops(&of_stops),
             in_force: stop_lines::in_force(&of_stops),
-            reports_per_s: reports.rate(),
+            reports_per_s: view.reports_per_s(),
             figures: view.figures(),
             ..Self::default()
         };

@@ -91,7 +91,8 @@ impl StopSwitch {
     fn with(operator: &str, seen: Arc<StopWatch>) -> Self {
         Self {
             source: source_id::random(),
-            operator: operator.to_owned(),
+            // A text that is too long must keep no order back.
+            operator: cut(operator).to_owned(),
             stop: OrderPublisher::without_session("array"),
             rearm: OrderPublisher::without_session("array"),
             repetitions: Repetitions::default(),
@@ -253,8 +254,7 @@ impl StopSwitch {
     pub fn stop(&self, reason: &str) -> Result<EmergencyStop, UiError> {
         let mut sent = None;
         let result = self.stop.publish(self.source, |stamp| {
-            // A text that is too long must not keep a stop back.
-            let (operator, reason) = (cut(&self.operator).to_owned(), cut(reason).to_owned());
+            let (operator, reason) = (self.operator.clone(), cut(reason).to_owned());
             let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
             // Before it is published, so that the first report of an array finds it.
             self.seen.order(&order);
@@ -387,7 +387,7 @@ impl StopSwitch {
                 stamp,
                 action: StopAction::Rearm,
                 operator: self.operator.clone(),
-                reason: reason.to_owned(),
+                reason: cut(reason).to_owned(),
             })?;
         } else if names.is_empty() && unnamed.is_empty() {
             let has_array = self.seen.lock().has_array();
@@ -399,7 +399,7 @@ impl StopSwitch {
                 stop_source: name.source,
                 stop_sequence: name.sequence,
                 operator: self.operator.clone(),
-                reason: reason.to_owned(),
+                reason: cut(reason).to_owned(),
             })
         })
     }

@@ -60,6 +60,11 @@ impl View {
         Ok(Self { opened: Instant::now(), chooser, received, stops, bus, can_restart, _subscriptions: subscriptions })
     }
 
+    /// Position reports a second of the displayed source, since the view opened.
+    pub(crate) fn reports_per_s(&self) -> f64 {
+        self.received().user_reports as f64 / self.opened.elapsed().as_secs_f64().max(1e-3)
+    }
+
     /// From now on the notes are those of a demo, whose page has a button that restarts the controller.
     pub(crate) fn advise_restart(&self) {
         self.can_restart.store(true, Ordering::Relaxed);

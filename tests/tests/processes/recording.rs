@@ -465,7 +465,7 @@ fn a_failed_recording_or_replay_is_reported_with_the_cause() {
 
     let golden = golden_recording();
     let refused = |name: &str, expected: &str| {
-        for arguments in [&["--verify"][..], &["--listen", "tcp/127.0.0.1:0"]] {
+        for arguments in [&["--verify"][..], &["--listen", unused.as_str()]] {
             let ended = replay(&folder.path().join(name), arguments).wait();
             assert_eq!(ended.status.code(), Some(2), "{name}: {}", ended.errors);
             let expected = format!("{name} cannot be replayed: {expected}");

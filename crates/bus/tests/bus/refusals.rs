@@ -29,6 +29,7 @@ fn endpoints_are_checked_before_a_session_opens() {
         ("tcp/:7447", "it has no host"),
         ("tcp/127.0.0.1:74470", "\"74470\" is not a port"),
         ("tcp/127.0.0.1:http", "\"http\" is not a port"),
+        ("tcp/127.0.0.1:0", "its port is 0, which selects one that no other process knows"),
         ("udp/127.0.0.1:7447", "protocol \"udp\" is not built in"),
         ("quic/127.0.0.1", "it has no port"),
         ("quic/127.0.0.1:7447?rel=0", "its connection would not repeat lost messages; remove \"rel\""),

@@ -84,11 +84,11 @@ struct LinkBudgetReport {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let mut scenario = args.scenario.load_arrays()?;
-    let rows = user_rows(&args, &scenario)?;
-    set_user_count(&mut scenario, rows.len())?;
+    let rows = user_rows(&args, &scenario).map_err(exit::unusable)?;
+    set_user_count(&mut scenario, rows.len()).map_err(exit::unusable)?;
     let model = scenario.channel_model()?;
     let users: Vec<Vec3> = rows.iter().map(|row| row.position(&scenario)).collect();
-    let (blockers, names) = blockers(&args, &scenario, &rows)?;
+    let (blockers, names) = blockers(&args, &scenario, &rows).map_err(exit::unusable)?;
     let forced: Vec<bool> = (0..users.len()).map(|user| user < scenario.blockage.forced_users).collect();
     let instant = Instant::new(&scenario, &model, &users, &blockers, &forced);
     let mut report = LinkBudgetReport::new(&scenario, &instant, &args)?;

@@ -8,7 +8,7 @@ use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_service::counted::counted;
 use heliostat_service::outln;
 use heliostat_ui::View;
-use heliostat_ui::status::{ReportCount, RoomStatus};
+use heliostat_ui::status::RoomStatus;
 
 use super::join::join;
 
@@ -41,15 +41,15 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?;
     let advice = "Give --connect the endpoints of the room's process and of the controller, or of their router";
     let bus = join(&config, OBSERVED).map_err(|unconnected| anyhow!(unconnected.with_advice(advice)))?;
-    let (view, reports) = (View::open(&bus, None)?, ReportCount::open(&bus)?);
+    let view = View::open(&bus, None)?;
     thread::sleep(OBSERVED);
-    let status = RoomStatus::new(config.room.name(), &view, &reports);
+    let status = RoomStatus::new(config.room.name(), &view);
     if args.json {
         outln!("{}", serde_json::to_string(&status)?)?;
     } else {
         outln!("{}", status.to_string().trim_end())?;
     }
-    drop((view, reports));
+    drop(view);
     bus.close()?;
     match status.problems.len() {
         0 => Ok(()),

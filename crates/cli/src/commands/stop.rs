@@ -4,7 +4,6 @@ mod order;
 mod words;
 
 use std::fmt::Display;
-use std::io;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
@@ -282,12 +281,12 @@ impl OrderArgs {
             let unrecorded = find_unrecorded();
             let mut result = to_json(room, "stopped", took, [stops; 2]);
             result["unrecorded"] = json!(unrecorded);
-            (print_outcome(&result.to_string()), unrecorded)
+            (output::outcome(result), unrecorded)
         } else {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            (print_outcome(&with_releases(text, stops, release)), find_unrecorded())
+            (output::outcome(with_releases(text, stops, release)), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {
@@ -316,13 +315,8 @@ impl OrderArgs {
         } else {
             with_stops(release_in_words(room.name(), took, released, held), "released", released)
         };
-        Ok(print_outcome(&text)?)
+        Ok(output::outcome(text)?)
     }
-}
-
-/// Prints what an order has done: to standard error where standard output cannot be written.
-fn print_outcome(text: &str) -> io::Result<()> {
-    output::line(text).inspect_err(|_| output::note(text))
 }
 
 /// The result of an order about these stops, with those in force after it.

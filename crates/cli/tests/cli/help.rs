@@ -87,6 +87,12 @@ fn what_the_user_typed_or_named_and_cannot_be_used_has_one_exit_status() {
         "stop --connect tls/127.0.0.1:7447 --tls absent",
         "driver run --config absent.toml",
         "replay absent.mcap",
+        "link --user 1",
+        "calibrate --out new.toml --array 16",
+        "calibrate apply absent.toml --array 16",
+        "doctor --array 16",
+        "link --users absent.csv",
+        "link --user 1,1 --obstacles absent.csv",
     ] {
         let ended = heliostat(&command.split(' ').collect::<Vec<_>>());
         assert_eq!(ended.status.code(), Some(2), "{command}: {}", String::from_utf8_lossy(&ended.stderr));

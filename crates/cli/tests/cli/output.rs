@@ -1,7 +1,7 @@
 //! What a command reports where its standard output cannot be written.
 
 use std::fs::OpenOptions;
-use std::process::Command;
+use std::process::{Command, Output};
 
 #[test]
 fn an_output_that_cannot_be_written_is_named() {
@@ -22,11 +22,30 @@ fn an_output_that_cannot_be_written_is_named() {
     }
 }
 
-#[test]
-fn a_closed_reader_of_the_help_is_no_failure() {
+/// The result of a command whose standard output nothing reads.
+fn unread(command: &[&str]) -> Output {
     let (reader, writer) = std::io::pipe().expect("a pipe");
     drop(reader);
-    let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).arg("--help").stdout(writer).output();
-    let ended = ended.expect("the program starts");
+    let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).stdout(writer).output();
+    ended.expect("the program starts")
+}
+
+#[test]
+fn a_closed_reader_of_the_help_is_no_failure() {
+    let ended = unread(&["--help"]);
     assert!(ended.status.success() && ended.stderr.is_empty(), "{ended:?}");
+}
+
+/// As of `heliostat status | head -1` in a script with `pipefail`.
+#[test]
+fn a_closed_reader_hides_no_problem() {
+    for command in [
+        &["scenario", "check", "absent.toml", "--json"][..],
+        &["doctor", "--scenario", "absent.toml"],
+        &["doctor", "--scenario", "absent.toml", "--json"],
+    ] {
+        let ended = unread(command);
+        assert_eq!(ended.status.code(), Some(1), "{command:?}: {ended:?}");
+        assert!(String::from_utf8_lossy(&ended.stderr).starts_with("heliostat: "), "{command:?}: {ended:?}");
+    }
 }

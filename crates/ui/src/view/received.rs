@@ -25,6 +25,9 @@ const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
 
+/// Time without positions after which the reports of another source are displayed: a controller follows it too.
+const SOURCE_TIMEOUT: Duration = Duration::from_secs(1);
+
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
@@ -44,6 +47,8 @@ pub(crate) struct Received {
     /// in this status are of the same instant.
     pub rates_at_status: Vec<(u32, f32)>,
     pub users: Dated<UserReport>,
+    /// The position reports that were kept.
+    pub user_reports: u64,
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub arrays: ArrayReports,
@@ -223,6 +228,34 @@ impl Received {
         }
     }
 
+    /// Whether the reports of a source are displayed. Where two sources report users, the first one stays, as for a
+    /// controller, until its liveliness token ends or it is silent.
+    fn is_displayed(&self, source: u64) -> bool {
+        let is_alive = |owner| self.alive.iter().any(|(_, alive)| *alive == owner);
+        let owner = self.users.as_ref().filter(|(at, _)| at.elapsed() < SOURCE_TIMEOUT);
+        let owner = owner.map(|(_, users)| users.stamp.source).filter(|owner| is_alive(*owner));
+        owner.is_none_or(|owner| owner == source)
+    }
+
+    pub(super) fn take_users(&mut self, users: UserReport) {
+        if self.is_displayed(users.stamp.source) {
+            self.user_reports += 1;
+            self.users = Some((Instant::now(), users));
+        }
+    }
+
+    pub(super) fn take_channel(&mut self, channel: ChannelReport) {
+        if self.is_displayed(channel.stamp.source) {
+            self.channel = Some((Instant::now(), channel));
+        }
+    }
+
+    pub(super) fn take_obstacles(&mut self, obstacles: ObstacleReport) {
+        if self.is_displayed(obstacles.stamp.source) {
+            self.obstacles = Some((Instant::now(), obstacles));
+        }
+    }
+
     pub(super) fn take_truth(&mut self, truth: RoomTruth) {
         let at = Instant::now();
         if self.history.back().is_none_or(|last| at - last.at >= HISTORY_STEP) {
@@ -296,6 +329,29 @@ mod tests {
     fn shown(received: &Received) -> (u64, u64) {
         let status = received.fresh_status(NodeKind::Controller.name()).expect("a fresh status");
         (status.stamp.source, status.counters[0].1)
+    }
+
+    #[test]
+    fn the_reports_of_a_second_source_replace_those_of_the_first_one_only_after_its_end() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Tracker.name(), 1));
+        let stamp = |source| Stamp { source, ..Stamp::default() };
+        let take = |received: &mut Received, source| {
+            let stamp = stamp(source);
+            received.take_users(UserReport { stamp, ..UserReport::default() });
+            received.take_channel(ChannelReport { stamp, ..ChannelReport::default() });
+            received.take_obstacles(ObstacleReport { stamp, ..ObstacleReport::default() });
+            let sources = [
+                received.users.as_ref().map(|(_, users)| users.stamp.source),
+                received.channel.as_ref().map(|(_, channel)| channel.stamp.source),
+                received.obstacles.as_ref().map(|(_, obstacles)| obstacles.stamp.source),
+            ];
+            (sources, received.user_reports)
+        };
+        assert_eq!(take(&mut received, 1), ([Some(1); 3], 1));
+        assert_eq!(take(&mut received, 2), ([Some(1); 3], 1));
+        received.take_presence((NodeKind::Tracker.name(), 1), Presence::Gone);
+        assert_eq!(take(&mut received, 2), ([Some(2); 3], 2));
     }
 
     #[test]

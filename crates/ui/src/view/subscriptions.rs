@@ -1,7 +1,6 @@
 //! The subscriptions of a view: each decodes a message and stores it.
 
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
 use heliostat_proto::keys::parse_alive;
@@ -21,11 +20,9 @@ pub(super) fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Ve
     })?;
     Ok(vec![
         store(bus, &room.truth(), received, Received::take_truth)?,
-        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
-        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
-        store(bus, &room.obstacles(), received, |received, obstacles| {
-            received.obstacles = Some((Instant::now(), obstacles))
-        })?,
+        store(bus, &room.users(), received, Received::take_users)?,
+        store(bus, &room.channel(), received, Received::take_channel)?,
+        store(bus, &room.obstacles(), received, Received::take_obstacles)?,
         store(bus, &room.telemetry(), received, |received, telemetry| received.take_telemetry(0, telemetry))?,
         later_arrays(bus, received)?,
         capabilities(bus, received, &room.array(0))?,

@@ -290,10 +290,16 @@ fn a_rearm_names_the_array_that_does_not_answer() {
 }
 
 #[test]
-fn a_reason_that_is_too_long_keeps_no_stop_back() {
-    let (arrays, switch, _sessions) = arrays("long", &[Manner::Stops]);
-    switch.stop_and_confirm(&"é".repeat(3000), TIME_LIMIT).unwrap();
+fn a_text_that_is_too_long_keeps_no_stop_and_no_release_back() {
+    let (arrays, switch, sessions) = arrays("long", &[Manner::Stops]);
+    let long = "é".repeat(3000);
+    switch.stop_and_confirm(&long, TIME_LIMIT).unwrap();
     assert_eq!(arrays[0].stops().len(), 1);
+    let other = StopSwitch::new(&long);
+    other.join(&sessions.1).unwrap();
+    let names: Vec<_> = other.stops(TIME_LIMIT).iter().map(|stop| stop.name).collect();
+    other.rearm_and_confirm(&names, &long, TIME_LIMIT).unwrap();
+    assert!(arrays[0].stops().is_empty());
 }
 
 #[test]

@@ -6,7 +6,7 @@ use heliostat_learn::calibrate::{Row, Settings, Study, study};
 use heliostat_learn::evaluation::Estimate;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::counted::counted;
-
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::outln;
 
 /// Rates of reports that the receivers and trackers of a room may have, per second.
@@ -62,7 +62,8 @@ pub fn run(args: Args) -> Result<()> {
     for (flag, value, range) in
         [("--reports-hz", args.reports_hz, REPORTS_HZ), ("--spot-error-m", args.spot_error_m, SPOT_ERROR_M)]
     {
-        ensure!(range.contains(&value), "{flag} {value}: expected {} to {}", range.start(), range.end());
+        let expected = || UnusableInput::new(format!("{flag} {value}: expected {} to {}", range.start(), range.end()));
+        ensure!(range.contains(&value), expected());
     }
     let study = study(&Settings {
         scenario: args.scenario.load_arrays()?,

@@ -28,7 +28,7 @@ use heliostat_scenario::{Belief, Scenario, ScenarioArgs, override_keys};
 use heliostat_service::duration::seconds;
 use serde_json::json;
 
-use heliostat_service::exit;
+use heliostat_service::exit::{self, UnusableInput};
 use heliostat_service::outln;
 use heliostat_service::whole_file;
 use interruption::Interruption;
@@ -290,9 +290,9 @@ fn note_point(grid: Option<&Grid>, index: usize) {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
+    let grid = Grid::new(&args.sweep).map_err(UnusableInput::new)?;
     let grid = grid.as_ref();
-    args.check_keys()?;
+    args.check_keys().map_err(exit::unusable)?;
     let settings: Vec<Settings> = match grid {
         None => vec![args.settings(None).map_err(exit::unusable)?],
         // An invalid value is refused before the work starts.
@@ -305,7 +305,7 @@ pub fn run(args: Args) -> Result<()> {
         }
     };
     if let (Some(grid), Some(first)) = (grid, settings.first()) {
-        grid.check_noise(&first.scenario).map_err(anyhow::Error::msg)?;
+        grid.check_noise(&first.scenario).map_err(UnusableInput::new)?;
     }
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;

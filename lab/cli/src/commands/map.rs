@@ -63,20 +63,28 @@ const POINTS_MAX: f64 = 4e6;
 /// Lower limit of the SINR on the map: a point without light has no SINR in dB.
 const SINR_FLOOR_DB: f64 = -20.0;
 
+impl Args {
+    /// Refuses values that no map has.
+    fn check(&self, scenario: &Scenario) -> Result<()> {
+        ensure!((0.5..=100.0).contains(&self.step_cm), "--step-cm {}: expected 0.5 to 100", self.step_cm);
+        let (room, step_m) = (&scenario.room, self.step_cm * 1e-2);
+        let points = room.length_x_m / step_m * (room.length_y_m / step_m);
+        ensure!(
+            points <= POINTS_MAX,
+            "--step-cm {}: {points:.0} points in this room; expected at most {POINTS_MAX}, use a larger step",
+            self.step_cm
+        );
+        ensure!((0.0..=3600.0).contains(&self.at_seconds), "--at-seconds {}: expected 0 to 3600", self.at_seconds);
+        let svg = self.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
+        ensure!(svg, "--out {}: expected a name that ends in .svg", self.out.display());
+        Ok(())
+    }
+}
+
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let scenario = args.scenario.load_arrays()?;
-    ensure!((0.5..=100.0).contains(&args.step_cm), "--step-cm {}: expected 0.5 to 100", args.step_cm);
-    let (room, step_m) = (&scenario.room, args.step_cm * 1e-2);
-    let points = room.length_x_m / step_m * (room.length_y_m / step_m);
-    ensure!(
-        points <= POINTS_MAX,
-        "--step-cm {}: {points:.0} points in this room; expected at most {POINTS_MAX}, use a larger step",
-        args.step_cm
-    );
-    ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: expected 0 to 3600", args.at_seconds);
-    let svg = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
-    ensure!(svg, "--out {}: expected a name that ends in .svg", args.out.display());
+    args.check(&scenario).map_err(exit::unusable)?;
     whole_file::check_writable(&args.out)?;
     let mut world = World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
     world.step(args.at_seconds);

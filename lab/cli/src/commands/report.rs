@@ -23,7 +23,7 @@ use heliostat::programs;
 use heliostat_reproduce::machine;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::locks::lock;
-use heliostat_service::{outln, output, signals, whole_file};
+use heliostat_service::{exit, outln, output, signals, whole_file};
 
 use super::json_command;
 use archive::{Archive, Finished};
@@ -71,16 +71,18 @@ fn word(text: &str) -> Result<(String, String), String> {
 /// # Errors
 /// An invalid report or section, a file that cannot be read or written, or a command that fails.
 pub fn run(args: Args) -> Result<()> {
-    let definition = Definition::read(&args.file, &args.word)?;
+    let definition = Definition::read(&args.file, &args.word).map_err(exit::unusable)?;
     let names: Vec<&str> = definition.sections.iter().map(|section| section.name.as_str()).collect();
     for name in &args.only {
-        ensure!(names.contains(&name.as_str()), "--only {name}: expected one of {}", names.join(", "));
+        let expected = || format!("--only {name}: expected one of {}", names.join(", "));
+        ensure!(names.contains(&name.as_str()), exit::UnusableInput::new(expected()));
     }
     let chosen = |section: &&Section| args.only.is_empty() || args.only.contains(&section.name);
     let mut steps = Vec::new();
     for section in definition.sections.iter().filter(chosen) {
-        let arguments = definition.arguments(section, args.quick)?;
-        check_section(section, &arguments).with_context(|| format!("in section {}", section.name))?;
+        let arguments = definition.arguments(section, args.quick).map_err(exit::unusable)?;
+        let checked = check_section(section, &arguments);
+        checked.with_context(|| format!("in section {}", section.name)).map_err(exit::unusable)?;
         steps.push((section, arguments));
     }
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&definition.name).with_extension("md"));

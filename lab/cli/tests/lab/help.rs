@@ -47,6 +47,23 @@ fn every_command_refuses_an_invalid_duration_in_the_same_words() {
     }
 }
 
+#[test]
+fn what_the_user_typed_or_named_and_cannot_be_used_has_one_exit_status() {
+    for command in [
+        "calibrate --reports-hz 0",
+        "calibrate --spot-error-m nan",
+        "map --step-cm 0",
+        "map --out map.png",
+        "eval --policies flat --csv no/such/folder/figures.csv",
+        "eval --policies flat --sweep users.count=1 --sweep users.count=2",
+        "eval --policies flat --set users.count=2 --sweep users.count=1,2",
+        "report absent.toml",
+    ] {
+        let ended = lab(&command.split(' ').collect::<Vec<_>>());
+        assert_eq!(ended.status.code(), Some(2), "{command}: {}", String::from_utf8_lossy(&ended.stderr));
+    }
+}
+
 /// As of `heliostat-lab ... | head -0`.
 #[test]
 fn a_closed_output_is_not_an_error() {

@@ -91,7 +91,7 @@ impl Bodies<'_> {
     /// user clear.
     fn clear_past_others(&self, led: &Vec3, users: &[UserBelief], index: usize) -> f64 {
         let at = position(&users[index]);
-        if self.obstacles.iter().any(|obstacle| blockage::blocks(&super::cylinder(obstacle), led, &at)) {
+        if self.obstacles.iter().any(|obstacle| blockage::blocks(&Cylinder::from(obstacle), led, &at)) {
             return 0.0;
         }
         let Some(shape) = self.shape else { return 1.0 };

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::BusArgs;
 use heliostat_calibrate::Place;
 use heliostat_calibrate::places::{default_spots, default_verification};
+use heliostat_driver::cli::array_index;
 use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs};
 use heliostat_service::EndArgs;
 use heliostat_service::exit::UnusableInput;
@@ -53,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub readings: Option<PathBuf>,
     /// Index of the array, from 0
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = array_index)]
     pub array: usize,
     /// Number of the user who holds the receiver; without it, the only user that the tracker reports
     #[arg(long, value_name = "N")]
@@ -108,7 +109,7 @@ pub struct ApplyArgs {
     #[command(flatten)]
     pub bus: BusArgs,
     /// Index of the array, from 0
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = array_index)]
     pub array: usize,
     /// Print the result as one JSON object
     #[arg(long)]

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use heliostat_service::Stop;
 use heliostat_service::exit::{FAILURE, INTERRUPTED};
-use heliostat_service::output::note;
+use heliostat_service::output::error;
 
 /// Time for an orderly end: the last readings are saved, and the mirrors are given back.
 const END_WITHIN: Duration = Duration::from_secs(3);
@@ -40,7 +40,7 @@ impl Watchdog {
         let over = is_over.clone();
         std::thread::spawn(move || {
             if is_late(&stop, &over, limit, END_WITHIN) {
-                note(format_args!("calibrate: {advice}"));
+                error("calibrate", &advice);
                 // As of a calibration that its time ends between two estimates.
                 let code = if stop.is_requested() { INTERRUPTED } else { FAILURE };
                 std::process::exit(code.into());

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
 use heliostat_controller::cli::RangeArgs;
+use heliostat_driver::cli::array_index;
 use heliostat_models::PolicyArgs;
 use heliostat_scenario::ScenarioArgs;
 
@@ -45,7 +46,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub measured: Option<PathBuf>,
     /// Index of the array of --calibration, from 0
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = array_index)]
     pub array: usize,
     #[command(flatten)]
     pub range: RangeArgs,

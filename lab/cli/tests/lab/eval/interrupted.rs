@@ -26,11 +26,12 @@ fn wait_until(child: &mut Child, state: impl Fn(u32) -> bool) {
     }
 }
 
-/// The output of an evaluation that writes this file, and is interrupted; also as a part of another command.
-fn interrupted(csv: &Path, is_part: bool) -> Output {
+/// The output of an evaluation that writes this file with these flags, and is interrupted; also as a part of another command.
+fn interrupted(csv: &Path, flags: &[&str], is_part: bool) -> Output {
     signals::restore_in_children();
     let mut eval = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
-    eval.args(["eval", "--scenario", "specular", "--policies", "greedy", "--states", "1000000", "--csv"]).arg(csv);
+    eval.args(["eval", "--scenario", "specular", "--policies", "greedy", "--states", "1000000"]).args(flags);
+    eval.arg("--csv").arg(csv);
     if is_part {
         signals::part(&mut eval);
     }
@@ -46,7 +47,7 @@ fn an_interrupted_evaluation_says_how_far_it_was_and_how_to_go_on_unless_another
     let folder = tempfile::tempdir().expect("a folder");
     let csv = folder.path().join("figures.csv");
     for is_part in [false, true] {
-        let output = interrupted(&csv, is_part);
+        let output = interrupted(&csv, &[], is_part);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(INTERRUPTED.into()), "{errors}");
         for words in ["heliostat-lab: interrupted: the comparison was at", "nothing is written", "eval has no --resume"]
@@ -54,6 +55,11 @@ fn an_interrupted_evaluation_says_how_far_it_was_and_how_to_go_on_unless_another
             assert_eq!(errors.contains(words), !is_part, "{words}: {errors}");
         }
         assert!(output.stdout.is_empty() && !csv.exists());
+        let output = interrupted(&csv, &["--json"], is_part).stdout;
+        let object: Option<serde_json::Value> = serde_json::from_slice(&output).ok();
+        let error = object.as_ref().and_then(|object| object["error"].as_str());
+        assert_eq!(error.is_some_and(|error| error.starts_with("interrupted: the comparison was at")), !is_part);
+        assert_eq!(output.is_empty(), is_part, "{}", String::from_utf8_lossy(&output));
     }
 }
 

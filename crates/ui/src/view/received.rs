@@ -230,7 +230,7 @@ impl Received {
 
     /// Whether the reports of a source are displayed. Where two sources report users, the first one stays, as for a
     /// controller, until its liveliness token ends or it is silent.
-    fn is_displayed(&self, source: u64) -> bool {
+    fn is_of_owner(&self, source: u64) -> bool {
         let is_alive = |owner| self.alive.iter().any(|(_, alive)| *alive == owner);
         let owner = self.users.as_ref().filter(|(at, _)| at.elapsed() < SOURCE_TIMEOUT);
         let owner = owner.map(|(_, users)| users.stamp.source).filter(|owner| is_alive(*owner));
@@ -238,20 +238,20 @@ impl Received {
     }
 
     pub(super) fn take_users(&mut self, users: UserReport) {
-        if self.is_displayed(users.stamp.source) {
+        if self.is_of_owner(users.stamp.source) {
             self.user_reports += 1;
             self.users = Some((Instant::now(), users));
         }
     }
 
     pub(super) fn take_channel(&mut self, channel: ChannelReport) {
-        if self.is_displayed(channel.stamp.source) {
+        if self.is_of_owner(channel.stamp.source) {
             self.channel = Some((Instant::now(), channel));
         }
     }
 
     pub(super) fn take_obstacles(&mut self, obstacles: ObstacleReport) {
-        if self.is_displayed(obstacles.stamp.source) {
+        if self.is_of_owner(obstacles.stamp.source) {
             self.obstacles = Some((Instant::now(), obstacles));
         }
     }

@@ -191,7 +191,7 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints ratio and QoS met of every policy, then their sum rates, in closed loop the time in outage,
+/// Prints ratio and minimum rates met of every policy, then their sum rates, in closed loop the time in outage,
 /// the paired differences, and in closed loop the quality of the beliefs: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };

@@ -466,6 +466,12 @@ fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
         assert_eq!(text.matches(part).count(), 3, "in the line of the oracle and of each policy: {text}");
     }
     assert!(text.lines().next().is_some_and(|header| header.ends_with(",conditions")), "{text}");
+    let swept = String::from_utf8(eval(&[&flags[..], &["--sweep", "blockage.forced_users=0,1"]].concat()).stdout).expect("text");
+    for printed in [table, swept] {
+        let is_condition: Vec<bool> = printed.lines().map(|line| line.starts_with("condition: ")).collect();
+        let first_figures = is_condition.iter().position(|found| !found).expect("tables");
+        assert!(first_figures > 0 && !is_condition[first_figures..].contains(&true), "conditions come first: {printed}");
+    }
 }
 
 #[test]

@@ -137,8 +137,7 @@ impl Observation {
     /// [`EncodeError`] where the vector has another length, or the array another size.
     pub fn of_vector(model: &ChannelModel, encoder: ObservationEncoder, vector: &[f32]) -> Result<Self, EncodeError> {
         encoder.check(0, model.mirrors.len(), vector)?;
-        let slots: Vec<usize> =
-            (0..encoder.users_max()).filter(|slot| vector[encoder.mask()][*slot] > 0.5).collect();
+        let slots: Vec<usize> = (0..encoder.users_max()).filter(|slot| vector[encoder.mask()][*slot] > 0.5).collect();
         let (users, mirrors) = (slots.len(), encoder.mirrors());
         let mut observation = Self::new(model, users);
         let wide = |range: Range<usize>| vector[range].iter().map(|value| f64::from(*value));

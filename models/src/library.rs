@@ -20,6 +20,10 @@ pub const ORT: &str = "ort";
 /// The environment variable that names the library.
 const VARIABLE: &str = "ORT_DYLIB_PATH";
 
+/// Where an unnamed library is searched for, as in "not found PLACES".
+pub const PLACES: &str = "beside the program, in the Python environment of the program, of VIRTUAL_ENV or of \
+    CONDA_PREFIX, or where the system's loader searches";
+
 static CHOSEN: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Uses this file in place of a search. It has no effect once a library is loaded.
@@ -37,9 +41,11 @@ pub fn chosen() -> Option<PathBuf> {
 /// The flag that names the library.
 #[derive(Clone, Debug, clap::Args)]
 pub struct LibraryArgs {
-    /// Shared library of ONNX Runtime, for actors that are no chain of dense layers [default:
-    /// ORT_DYLIB_PATH, beside the program, or that of the Python package onnxruntime]
-    #[arg(long, global = true, value_name = "FILE")]
+    // The flag's help is the text that follows, so that it names the same places as a failed search.
+    #[arg(long, global = true, value_name = "FILE", help = format!(
+        "Shared library of ONNX Runtime, for actors that are no chain of dense layers \
+         [default: {VARIABLE}, else the first one {PLACES}]"
+    ))]
     onnxruntime: Option<PathBuf>,
 }
 
@@ -121,6 +127,15 @@ fn of_python(prefix: &Path) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_help_of_the_flag_names_every_place_of_a_search() {
+        let command = <LibraryArgs as clap::Args>::augment_args(clap::Command::new("program"));
+        let help = command.get_arguments().next().and_then(clap::Arg::get_help).expect("one flag").to_string();
+        for place in [VARIABLE, "beside the program", "VIRTUAL_ENV", "CONDA_PREFIX", "system's loader"] {
+            assert!(help.contains(place), "{place}: {help}");
+        }
+    }
 
     #[test]
     fn the_library_of_a_python_environment_is_found_under_its_versioned_name() {

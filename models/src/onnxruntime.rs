@@ -21,7 +21,7 @@ use prost::Message;
 
 use crate::{
     batch::Batch,
-    library::{self, ORT},
+    library::{self, ORT, PLACES},
 };
 
 /// Why a network cannot be built.
@@ -101,7 +101,7 @@ fn environment() -> Result<Environment, String> {
     let reason = match (named_by, reasons.split_last()) {
         (Some(by), Some((reason, _))) => format!("which {by} names, does not load ({reason})"),
         (None, Some((_, [first, ..]))) => format!("which does not load ({first})"),
-        _ => "which was not found".into(),
+        _ => format!("which was not found {PLACES}"),
     };
     Err(reason)
 }

@@ -3,8 +3,8 @@
     python python/examples/sac.py train FOLDER [--environment heliostat/Hall-v0] [--minutes 20] [--cores 2]
     python python/examples/sac.py report FOLDER [--program heliostat] [--page PAGE.md]
 
-`train` writes checkpoints into the folder. `report` scores each of them on held-out states, exports the last one as
-own.onnx, compares it with other policies by the program, and runs it in the demo.
+`train` writes checkpoints into the folder. `report` exports the last one as own.onnx, compares it with other policies by
+the program, runs it in the demo, and scores each checkpoint on held-out states.
 
 An action is one weight per user. It has little effect on later states, so later rewards are not discounted but left
 out (gamma = 0). The networks read the summary of an observation, a few values per user.
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import subprocess
 import time
 from pathlib import Path
@@ -149,14 +150,27 @@ def checkpoint(folder: Path, name: str) -> SAC:
     return SAC.load(folder / name, device="cpu", buffer_size=1)
 
 
+def output_of(command: list[str]) -> str:
+    """What a command prints; where it fails, its message is on standard error and the script ends."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    if done.returncode != 0:
+        raise SystemExit(f"exit status {done.returncode}, expected 0: {shlex.join(command)}; its message is above")
+    return done.stdout
+
+
 def evaluated(program: str, path: Path, scenario: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """The report of `heliostat-lab eval` in closed loop for the file and other policies."""
     policies = f"{path},greedy,fixed-point,ddpg,nearest,flat"
     lab = str(Path(program).with_name("heliostat-lab"))
     command = [lab, "eval", "--scenario", scenario, "--closed-loop", "--policies", policies, "--json"]
     command += ["--states", str(arguments.states), "--seeds", str(arguments.seeds)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return dict(json.loads(done.stdout))
+    return dict(json.loads(output_of(command)))
+
+
+def demonstrated(program: str, path: Path, scenario: str) -> list[str]:
+    """The summary of the demo with the file."""
+    shown = output_of([program, "demo", "--scenario", scenario, "--model", str(path), "--seconds", "20"])
+    return shown[shown.rindex("\nsum rate") :].strip().splitlines()
 
 
 def report(arguments: argparse.Namespace) -> None:
@@ -165,6 +179,13 @@ def report(arguments: argparse.Namespace) -> None:
     rows = json.loads((folder / "checkpoints.json").read_text())
     env = gymnasium.make(settings["environment"], action=settings["action"]).unwrapped
     assert isinstance(env, heliostat.HeliostatEnv)
+    path = heliostat.export_onnx(Actor(checkpoint(folder, rows[-1]["file"]).policy), env, folder / "own.onnx")
+    print(f"written: {path}", flush=True)
+    # Before the scores, which take far longer: a file that a program refuses ends the script here.
+    runs: tuple[dict[str, Any], list[str]] | None = None
+    if arguments.program:
+        program, scenario = arguments.program, env.scenario.name
+        runs = evaluated(program, path, scenario, arguments), demonstrated(program, path, scenario)
 
     def score(model: SAC) -> heliostat.Score:
         return heliostat.evaluate(
@@ -189,10 +210,8 @@ def report(arguments: argparse.Namespace) -> None:
     lines += [f"| action 0 | | | {figures(zero)} |"]
     for row, scored in zip(rows, scores, strict=True):
         lines += [f"| {row['processor_s']:.0f} | {row['elapsed_s']:.0f} | {row['steps']} | {figures(scored)} |"]
-    path = heliostat.export_onnx(Actor(checkpoint(folder, rows[-1]["file"]).policy), env, folder / "own.onnx")
-    print(f"written: {path}")
-    if arguments.program:
-        lines += compared(arguments, path, env.scenario.name, last)
+    if runs is not None:
+        lines += compared(arguments, path, last, *runs)
     if arguments.page:
         arguments.page.write_text("\n".join(lines) + "\n")
         print(f"written: {arguments.page}")
@@ -227,9 +246,11 @@ def interval(figure: dict[str, Any], digits: int) -> str:
     return f"{figure['mean']:.{digits}f}{half}"
 
 
-def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heliostat.Score) -> list[str]:
+def compared(
+    arguments: argparse.Namespace, path: Path, own: heliostat.Score, found: dict[str, Any], summary: list[str]
+) -> list[str]:
     """The exported file beside other policies, and in the demo."""
-    found = evaluated(arguments.program, path, scenario, arguments)
+    scenario = found["scenario"]
     lines = ["", "## The exported file beside other policies", "", "```"]
     lines += [f"heliostat-lab eval --scenario {scenario} --closed-loop --policies own.onnx,greedy,fixed-point,ddpg,nearest,flat "
               f"--states {arguments.states} --seeds {arguments.seeds}", "```", ""]
@@ -242,9 +263,6 @@ def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heli
     by_program = found["policies"][str(path)]["ratio_to_oracle"]["mean"]
     lines += ["", f"`heliostat.evaluate` gives the ratio {own.ratio_to_oracle:.4f} for the same network, the program "
               f"{by_program:.4f} for the file.", "", "## In the demo", "", "```"]
-    command = ["demo", "--scenario", scenario, "--model", str(path), "--seconds", "20"]
-    done = subprocess.run([arguments.program, *command], check=True, capture_output=True, text=True)
-    summary = done.stdout[done.stdout.rindex("\nsum rate") :].strip().splitlines()
     lines += [f"heliostat demo --scenario {scenario} --model own.onnx --seconds 20", *summary, "```"]
     return lines
 

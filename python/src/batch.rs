@@ -352,18 +352,8 @@ impl Batch {
     /// The ranges of the parts of a flat observation: name, first index, shape.
     fn layout(&self) -> PyResult<Vec<(&'static str, usize, Vec<usize>)>> {
         let slots = self.open()?;
-        let encoder = slots[0].task.encoder();
-        let (users, mirrors) = (encoder.users_max(), encoder.mirrors());
-        let columns = heliostat_core::observation::Summary::COLUMNS;
-        Ok(vec![
-            ("mask", encoder.present().start, vec![users]),
-            ("positions", encoder.positions().start, vec![users, 3]),
-            ("los_amplitude", encoder.los_amplitude().start, vec![users]),
-            ("min_rate", encoder.min_rate().start, vec![users]),
-            ("steering_amplitude", encoder.steering_amplitude().start, vec![users, mirrors]),
-            ("angles", encoder.angles().start, vec![2, mirrors]),
-            ("summary", encoder.summary().start, vec![columns, users]),
-        ])
+        let parts = slots[0].task.encoder().parts();
+        Ok(parts.into_iter().map(|part| (part.name, part.values.start, part.shape)).collect())
     }
 
     /// Whether `close` was called.

@@ -8,6 +8,7 @@ import os
 import pkgutil
 import re
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,21 @@ def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytes
     assert len(rows) == 4 * 2 * 3 and any(line.startswith("0 & 3 & oracle & ") for line in rows), table
     assert "nan" not in table
     assert "% condition: the cause of a blocked path does not apply" in table
+
+
+@needs_program
+def test_the_function_of_the_guide_to_policies_is_compared(tmp_path: Path) -> None:
+    page = (DOCS / "tutorials" / "own-policy.md").read_text(encoding="utf-8")
+    section = page.partition("## As a function in Python\n")[2].partition("\n## ")[0]
+    (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    (commands,) = re.findall(r"```sh no-run\n(.*?)```", section, re.DOTALL)
+    (tmp_path / "mine.py").write_text(module, encoding="utf-8")
+    path = f"{Path(os.environ['HELIOSTAT_PROGRAM']).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "HELIOSTAT_PYTHON": sys.executable}
+    command = ["bash", "-ec", commands]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, check=False, capture_output=True, text=True, timeout=1200)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("difference to mine.py:act, paired") == 2, done.stdout
 
 
 def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import re
@@ -360,3 +361,18 @@ def test_the_example_of_soft_actor_critic_trains_and_reports_its_checkpoints(tmp
     assert outcome[2] == ("below" if own < zero else "above") or own == zero
     assert written.count("| 1200 | ") == 1 and f"for 1200 steps, and {checkpoints[-1]['processor_s']:.0f} s" in written
     assert_acts(folder / "own.onnx", "hall", "weights")
+    # A program that refuses the file: its message is printed, and no checkpoint is scored before.
+    lab = tmp_path / "heliostat-lab"
+    lab.write_text("#!/bin/sh\necho 'error: own.onnx is refused' >&2\nexit 2\n")
+    lab.chmod(0o755)
+    command = [sys.executable, str(EXAMPLES / "sac.py"), "report", str(folder), "--program", str(tmp_path / "heliostat")]
+    refused = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert refused.returncode == 1 and "Traceback" not in refused.stderr, refused.stderr
+    assert "error: own.onnx is refused\nexit status 2, expected 0: " in refused.stderr, refused.stderr
+    assert " steps: " not in refused.stdout, refused.stdout
+
+
+def test_the_optional_part_that_exports_networks_brings_the_library_that_runs_them() -> None:
+    required = importlib.metadata.requires("heliostat") or []
+    exported = [line for line in required if "export" in line.partition("extra")[2]]
+    assert any(line.startswith("onnxruntime") for line in exported), required

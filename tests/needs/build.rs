@@ -8,7 +8,7 @@ use std::process::Command;
 /// What a machine may lack: its name, whether it is here, and what to install.
 type Need = (&'static str, fn() -> bool, &'static str);
 
-const NEEDS: [Need; 10] = [
+const NEEDS: [Need; 11] = [
     ("browser", browser, "chromium and chromedriver (Debian: apt-get install chromium chromium-driver)"),
     ("cc", || runs("cc", &["--version"]), "a C compiler, cc"),
     ("containers", || false, "HELIOSTAT_REQUIRE=containers, root, dockerd, compose, debootstrap and zenohd"),
@@ -16,6 +16,7 @@ const NEEDS: [Need; 10] = [
     ("network-namespaces", network_namespaces, "root, ip and nft (Debian: apt-get install iproute2 nftables)"),
     ("numpy", || imports("numpy"), "NumPy (pip install numpy; HELIOSTAT_PYTHON names the interpreter)"),
     ("onnxruntime", onnxruntime, "ONNX Runtime (pip install onnxruntime in the environment that VIRTUAL_ENV names)"),
+    ("python", || imports("pty"), "Python 3 (Debian: apt-get install python3; HELIOSTAT_PYTHON names the interpreter)"),
     (
         "python-package",
         || imports("heliostat.driver, heliostat.tracker"),

@@ -285,7 +285,7 @@ fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let mut graph = Graph::default();
     let (inputs, outputs) = (encoder.len(), encoder.angles().len());
     let mut weights = vec![0.0; inputs * outputs];
-    let last = encoder.present().start + scenario.users.count - 1;
+    let last = encoder.mask().start + scenario.users.count - 1;
     weights[last * outputs..][..outputs].fill(1.0);
     let weights = graph.constant("weights", &[inputs, outputs], &weights);
     let present = graph.node("MatMul", &[INPUT_NAME, &weights]);

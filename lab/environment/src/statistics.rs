@@ -106,9 +106,9 @@ impl Spread {
         Self { crosses_bound: (low..=high).contains(&mean) && beyond, bounds: [low, high], ..self }
     }
 
-    /// Whether the interval leaves out 0; false without an interval.
-    pub fn excludes_zero(&self) -> bool {
-        self.mean.abs() > self.ci95
+    /// Whether the interval includes 0; false without an interval.
+    pub fn includes_zero(&self) -> bool {
+        self.mean.abs() <= self.ci95
     }
 
     /// The ends of the interval, cut at the bounds of the quantity; NaN without an interval.
@@ -200,10 +200,10 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_excludes_zero_where_its_half_width_is_smaller_than_the_mean() {
-        let of = |values: &[f64]| Spread::of(&[values.iter().map(|value| vec![*value]).collect()]).excludes_zero();
-        assert!(of(&[-1.0, -1.1, -0.9]) && of(&[1.0, 1.0]) && !of(&[1.0, -0.9, 0.5]));
-        assert!(!of(&[0.0, 0.0]) && !of(&[1.0]) && !of(&[]), "no difference, and no interval");
+    fn an_interval_includes_zero_where_its_half_width_is_not_smaller_than_the_mean() {
+        let of = |values: &[f64]| Spread::of(&[values.iter().map(|value| vec![*value]).collect()]).includes_zero();
+        assert!(!of(&[-1.0, -1.1, -0.9]) && !of(&[1.0, 1.0]) && of(&[1.0, -0.9, 0.5]) && of(&[0.0, 0.0]));
+        assert!(!of(&[1.0]) && !of(&[0.0]) && !of(&[]), "no interval includes nothing");
     }
 
     #[test]

@@ -33,6 +33,9 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
     nearest bound, as in the environment. The environment has the action "angles" or "weights", and the observation
     "flat" or "paper". The controller turns weights into angles with the decoder of the environment.
 
+    A chain of dense layers runs everywhere. Any other module needs ONNX Runtime where it runs: `heliostat[export]` installs
+    it for programs that are started in the same environment.
+
     The file also holds outputs of `module` for four fixed inputs, by which the controller verifies its engine.
 
     Needs PyTorch. Raises `TypeError` for an object that is no module, and `ValueError` for a module whose file no

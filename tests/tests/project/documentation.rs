@@ -292,6 +292,28 @@ fn tests_that_the_documents_name_exist() {
     assert!(named.len() >= 40, "only {} tests are named", named.len());
 }
 
+/// The pages of results, which a report writes, have commands of their own.
+#[test]
+fn comparisons_in_closed_loop_have_more_than_one_episode() {
+    let (mut single, mut checked) = (Vec::new(), 0);
+    for document in documents() {
+        let text = fs::read_to_string(&document).expect("a document is readable");
+        for line in text.lines().filter(|line| is_command(line) && line.contains(" --closed-loop")) {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let after = |flag: &str| Some(words[words.iter().position(|word| *word == flag)? + 1]);
+            let number = |flag, absent| after(flag).map_or(absent, |value| value.parse::<usize>().expect("a number"));
+            let several = ["--policies", "--beliefs"].map(after).into_iter().flatten().any(|value| value.contains(','));
+            checked += usize::from(several);
+            // An episode has 20 states.
+            if several && number("--seeds", 3) * number("--episodes", 1).max(number("--states", 1).div_ceil(20)) == 1 {
+                single.push(format!("{}: {line}", document.display()));
+            }
+        }
+    }
+    assert!(single.is_empty(), "one episode gives no interval, give --episodes:\n{}", single.join("\n"));
+    assert!(checked >= 10, "only {checked} comparisons were found");
+}
+
 #[test]
 fn the_readme_is_short() {
     let text = fs::read_to_string(workspace().join("README.md")).expect("there is a README");

@@ -10,7 +10,7 @@
 //!
 //! | part | values | meaning |
 //! | --- | --- | --- |
-//! | present | U | 1 where the slot holds a user |
+//! | mask | U | 1 where the slot holds a user |
 //! | positions | 3 U | x, y, z of each user in m, room frame |
 //! | LoS amplitude | U | s times the gain of the direct path |
 //! | minimum rate | U | minimum rate times users over bandwidth, bit/s/Hz |
@@ -137,8 +137,7 @@ impl Observation {
     /// [`EncodeError`] where the vector has another length, or the array another size.
     pub fn of_vector(model: &ChannelModel, encoder: ObservationEncoder, vector: &[f32]) -> Result<Self, EncodeError> {
         encoder.check(0, model.mirrors.len(), vector)?;
-        let slots: Vec<usize> =
-            (0..encoder.users_max()).filter(|slot| vector[encoder.present()][*slot] > 0.5).collect();
+        let slots: Vec<usize> = (0..encoder.users_max()).filter(|slot| vector[encoder.mask()][*slot] > 0.5).collect();
         let (users, mirrors) = (slots.len(), encoder.mirrors());
         let mut observation = Self::new(model, users);
         let wide = |range: Range<usize>| vector[range].iter().map(|value| f64::from(*value));
@@ -247,6 +246,17 @@ pub enum EncodeError {
     },
 }
 
+/// A part of the vector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Its name in files and in Python.
+    pub name: &'static str,
+    /// The indices of its values.
+    pub values: Range<usize>,
+    /// Its shape, row-major.
+    pub shape: Vec<usize>,
+}
+
 /// Position and encoding of each part of the vector. The [module](self) has the layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObservationEncoder {
@@ -276,14 +286,29 @@ impl ObservationEncoder {
         self.summary().end
     }
 
-    /// The presence flags.
-    pub fn present(&self) -> Range<usize> {
+    /// The parts of the vector, in its order.
+    pub fn parts(&self) -> [Part; 7] {
+        let (users, mirrors) = (self.users_max, self.mirrors);
+        let part = |name, values, shape: &[usize]| Part { name, values, shape: shape.to_vec() };
+        [
+            part("mask", self.mask(), &[users]),
+            part("positions", self.positions(), &[users, 3]),
+            part("los_amplitude", self.los_amplitude(), &[users]),
+            part("min_rate", self.min_rate(), &[users]),
+            part("steering_amplitude", self.steering_amplitude(), &[users, mirrors]),
+            part("angles", self.angles(), &[2, mirrors]),
+            part("summary", self.summary(), &[Summary::COLUMNS, users]),
+        ]
+    }
+
+    /// 1 in each slot that holds a user.
+    pub fn mask(&self) -> Range<usize> {
         0..self.users_max
     }
 
     /// The positions, user by user.
     pub fn positions(&self) -> Range<usize> {
-        following(&self.present(), 3 * self.users_max)
+        following(&self.mask(), 3 * self.users_max)
     }
 
     /// The amplitudes of the direct paths.
@@ -348,7 +373,7 @@ impl ObservationEncoder {
         let amplitude_scale = model.budget.amplitude_scale();
         let min_rate_scale = observation.users() as f64 / model.budget.bandwidth_hz;
         out[..self.angles().start].fill(0.0);
-        out[self.present()][..users].fill(1.0);
+        out[self.mask()][..users].fill(1.0);
         for (slot, user) in chosen.enumerate() {
             let pairs = user * self.mirrors..(user + 1) * self.mirrors;
             write_scaled(&mut out[self.positions()][3 * slot..][..3], observation.positions[user].as_slice(), 1.0);

@@ -36,6 +36,11 @@ fn the_layout_is_version_three() {
 
     let encoder = ObservationEncoder::new(4, 9);
     assert_eq!(encoder.len(), 122);
+    let parts = encoder.parts();
+    assert!(parts.iter().all(|part| part.values.len() == part.shape.iter().product::<usize>()), "{parts:?}");
+    let amplitudes = [("los_amplitude", 16), ("min_rate", 20), ("steering_amplitude", 24)];
+    let expected = [&[("mask", 0), ("positions", 4)][..], &amplitudes, &[("angles", 60), ("summary", 78)]].concat();
+    assert_eq!(parts.map(|part| (part.name, part.values.start)).to_vec(), expected);
     let mut vector = vec![f32::NAN; 122];
     encoder.encode(&model, &observation, &mut vector).unwrap();
 

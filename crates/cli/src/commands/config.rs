@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, BusError, Reach, Role};
-use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::observation::{ObservationEncoder, Part, USERS_CAPACITY};
 use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
@@ -88,23 +88,16 @@ pub fn run(args: Args) -> Result<()> {
 fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
     let mirrors = scenario.mirror_count();
     let encoder = ObservationEncoder::new(users_max, mirrors);
-    let part = |range: std::ops::Range<usize>| json!([range.start, range.end]);
+    // Index of the first value, and one past the last.
+    let range = |Part { name, values, .. }: Part| (name.to_owned(), json!([values.start, values.end]));
+    let layout: Map<String, Value> = encoder.parts().into_iter().map(range).collect();
     let metadata: Map<String, Value> =
         room_entries(scenario, users_max).into_iter().map(|(key, value)| (key, value.into())).collect();
     let document = json!({
         "input": { "name": INPUT_NAME, "type": "f32", "shape": [1, encoder.len()] },
         "output": { "name": ANGLES, "type": "f32", "shape": [1, 2 * mirrors] },
         "metadata": metadata,
-        // Index of the first value, and one past the last.
-        "layout": {
-            "present": part(encoder.present()),
-            "positions": part(encoder.positions()),
-            "los_amplitude": part(encoder.los_amplitude()),
-            "min_rate": part(encoder.min_rate()),
-            "steering_amplitude": part(encoder.steering_amplitude()),
-            "angles": part(encoder.angles()),
-            "summary": part(encoder.summary()),
-        },
+        "layout": layout,
     });
     match document {
         Value::Object(map) => map,

@@ -30,6 +30,23 @@ fn the_processes_of_a_room_have_the_defaults_of_the_demo() {
     assert_eq!(defaults(&["sim-node", "--listen", "tcp/127.0.0.1:7447"]).0, scenario);
 }
 
+/// The page has the names by which Python has the parts.
+#[test]
+fn the_layout_of_an_actor_has_the_parts_of_the_page_on_python() {
+    let page = include_str!("../../../../docs/python.md");
+    let table = page.split("| part | shape |").nth(1).and_then(|rest| rest.split("\n\n").next()).expect("a table");
+    let mut parts: Vec<&str> = table.lines().filter_map(|row| row.strip_prefix("| `")?.split('`').next()).collect();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
+    let printed = command.args(["config", "--as-json", "actor"]).output().expect("the program starts");
+    let document: Value = serde_json::from_slice(&printed.stdout).expect("one JSON object");
+    let layout = document["layout"].as_object().expect("an object");
+    let mut names: Vec<&str> = layout.keys().map(String::as_str).collect();
+    // The order of the keys of an object has no meaning.
+    parts.sort_unstable();
+    names.sort_unstable();
+    assert_eq!((names, parts.len()), (parts.clone(), 7));
+}
+
 #[test]
 fn the_configuration_of_a_controller_is_printed_only_where_it_can_use_its_model() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,7 +1,8 @@
 //! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines
 //! over a serial port or a socket.
 //!
-//! docs/servo-board.md defines the protocol; `crates/driver/reference/servo_board.ino` implements the board's side.
+//! docs/servo-board.md defines the protocol; `crates/driver/reference/servo_board.ino` and
+//! `examples/servo_board.py` implement the board's side.
 //! Numbers are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers
 //! each line of the host with one line, terminated by a newline:
 //!

@@ -318,6 +318,50 @@ fn a_board_that_sends_lines_of_its_own_is_refused_also_if_it_answers() {
     });
 }
 
+/// A program that ends with its test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Also where it resets and talks when its port opens.
+#[needs("python")]
+#[test]
+fn the_driver_turns_the_mirrors_of_the_board_in_python() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/servo_board.py");
+    let python = std::env::var("HELIOSTAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    for reset_s in ["0", "0.5"] {
+        let arguments = [file, "--mirrors", "2", "--reset", reset_s];
+        let mut board =
+            Running(Command::new(&python).args(arguments).stdout(Stdio::piped()).spawn().expect("Python runs"));
+        let output = board.0.stdout.take().expect("it is piped");
+        let mut lines = BufReader::new(output).lines().map_while(Result::ok);
+        let first = lines.next().expect("a line");
+        let path = first.strip_prefix("the board is at ").expect("the path of its port");
+        let mut device = wall(&format!(
+            "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"serial:{path}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = [0, 1]"
+        ));
+        device.connect(NOW).unwrap();
+        device.apply(NOW, &MirrorAngles { roll: vec![0.2, 0.1], yaw: vec![0.4, -0.3] }).unwrap();
+        assert_eq!(lines.next().as_deref(), Some("turn 200000 400000 100000 -300000"));
+        device.request_measurement();
+        let mut measured = MirrorAngles::flat(2);
+        until("a measurement", || device.measure(NOW, &mut measured).unwrap().then_some(()));
+        let error = |axis: &[f64], expected: [f64; 2]| (axis[0] - expected[0]).abs() + (axis[1] - expected[1]).abs();
+        assert!(error(&measured.roll, [0.2, 0.1]) + error(&measured.yaw, [0.4, -0.3]) < 1e-9, "{measured:?}");
+        device.stop(NOW).unwrap();
+        until("a stop", || device.has_stopped().unwrap().then_some(()));
+        assert!(lines.any(|line| line == "stop"));
+        device.apply(NOW, &MirrorAngles { roll: vec![0.6, 0.0], yaw: vec![0.0, 0.0] }).unwrap();
+        let far = until("a refusal", || device.health(NOW).unwrap().problem).to_string();
+        assert!(far.contains("600000 is beyond 523599"), "{far}");
+    }
+}
+
 /// The reference sketch, built for this host, on a pseudo-terminal.
 fn reference_board() -> (String, Child, impl Sized) {
     let folder = tempfile::tempdir().unwrap();

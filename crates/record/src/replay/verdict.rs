@@ -194,7 +194,7 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
 }
 
 impl fmt::Display for Verdict {
-    /// The result, then what it rests on.
+    /// The result and the counts of reports and commands, then the table of the recording's streams.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let clock = match self.clock {
             Clock::Live => "live",
@@ -208,13 +208,6 @@ impl fmt::Display for Verdict {
             self.scenario,
             self.distinct_policies().join(", ")
         )?;
-        write!(formatter, "\n{}", self.account)?;
-        if !self.complete {
-            write!(
-                formatter,
-                "\nthe recording was cut: it is complete up to here, and the recorder's counts are missing"
-            )?;
-        }
         self.write_reports(formatter)?;
         self.write_commands(formatter)?;
         if let Some(problem) = &self.unrestored {
@@ -225,7 +218,15 @@ impl fmt::Display for Verdict {
                 formatter,
                 "\nleft out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
             )
-        })
+        })?;
+        write!(formatter, "\n{}", self.account)?;
+        if !self.complete {
+            write!(
+                formatter,
+                "\nthe recording was cut: it is complete up to here, and the recorder's counts are missing"
+            )?;
+        }
+        Ok(())
     }
 }
 
@@ -253,6 +254,7 @@ mod tests {
         let text = different.to_string();
         let at = |part: &str| text.find(part).expect("a line of the result");
         assert!(at("lacks 2 messages") < at("first difference: tick 7") && at("tick 7") < at("room "), "{text}");
+        assert!(at("reports ") < at("commands compared ") && at("commands compared ") < at("stream "), "{text}");
     }
 
     #[test]

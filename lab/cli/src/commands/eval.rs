@@ -46,7 +46,7 @@ pub const NEAR_BEST: &str = "~";
 
 /// What the mark [`NEAR_BEST`] means.
 pub const NEAR_BEST_NOTE: &str = "not distinguishable from the best: the interval of the paired difference to the largest ratio \
-     includes 0, or there is no interval";
+     includes 0";
 
 /// What a marked interval means.
 pub const CROSSES_NOTE: &str = "the interval reaches beyond what the figure can be, such as below 0";

@@ -236,6 +236,13 @@ fn a_policy_that_is_not_told_apart_from_the_best_is_marked() {
 }
 
 #[test]
+fn a_single_state_has_no_interval_and_marks_no_policy() {
+    let output = eval(&["--policies", "fixed-point,flat", "--states", "1", "--seeds", "1"]);
+    let table = String::from_utf8(output.stdout).expect("text");
+    assert!(table.contains("1 state gives no confidence interval") && !table.contains('~'), "{table}");
+}
+
+#[test]
 fn a_closed_loop_measures_the_beliefs_themselves() {
     let flags = ["--closed-loop", "--scenario", "hall", "--policies", "greedy,flat", "--states", "60", "--seeds", "1"];
     let flags = [&flags[..], &["--beliefs", "none,constant-velocity,filter"]].concat();
@@ -466,6 +473,16 @@ fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
         assert_eq!(text.matches(part).count(), 3, "in the line of the oracle and of each policy: {text}");
     }
     assert!(text.lines().next().is_some_and(|header| header.ends_with(",conditions")), "{text}");
+    let swept = String::from_utf8(eval(&[&flags[..], &["--sweep", "blockage.forced_users=0,1"]].concat()).stdout)
+        .expect("text");
+    for printed in [table, swept] {
+        let is_condition: Vec<bool> = printed.lines().map(|line| line.starts_with("condition: ")).collect();
+        let first_figures = is_condition.iter().position(|found| !found).expect("tables");
+        assert!(
+            first_figures > 0 && !is_condition[first_figures..].contains(&true),
+            "conditions come first: {printed}"
+        );
+    }
 }
 
 #[test]

@@ -157,9 +157,9 @@ impl Row {
         }
     }
 
-    /// Whether the states do not tell the policy apart from the one with the largest ratio.
+    /// Whether the states do not tell the policy apart from the one with the largest ratio; false without an interval.
     pub fn is_near_best(&self) -> bool {
-        self.difference_to_best.is_some_and(|difference| !difference.excludes_zero())
+        self.difference_to_best.is_some_and(|difference| difference.includes_zero())
     }
 
     /// The results of the reference itself.

@@ -209,7 +209,7 @@ impl Channel {
             Mirrors::Paper([along(0)?, along(1)?, along(2)?])
         };
         Ok(Self {
-            present: part(encoder.present())?,
+            present: part(encoder.mask())?,
             direct: part(encoder.los_amplitude())?,
             min_rate: part(encoder.min_rate())?,
             balanced: part(encoder.column(Summary::LogWeight as usize))?.exp()?,

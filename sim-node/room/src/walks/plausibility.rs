@@ -8,8 +8,12 @@ use std::f64::consts::{PI, TAU};
 use crate::walks::figures::{SPEED_SPAN_S, SpeedFigures, bounds, percentile, speeds};
 use crate::walks::tracks::{Collected, Track, turn};
 
-/// Medians of the speed in m/s that need no warning. Users who stand most of the time lower the median.
+/// Speeds in m/s of users who walk.
 const SPEED_M_S: [f64; 2] = [0.2, 1.7];
+
+/// A smaller 95th percentile in m/s is of users who stand or sit. The median may be smaller: users who stand most of the
+/// time lower it.
+const SLOW_M_S: f64 = 0.1;
 
 /// A larger 95th percentile in m/s is no walk and no run.
 const FAST_M_S: f64 = 5.0;
@@ -103,8 +107,12 @@ fn speed(tracks: &[Track]) -> Option<String> {
             "1 of 20 steps is faster than {fast:.1} m/s: are lost points in the file, as zeros or as a large number?"
         ));
     }
-    let is_usual = (SPEED_M_S[0]..=SPEED_M_S[1]).contains(&median);
-    (!is_usual).then(|| {
+    if fast < SLOW_M_S {
+        return Some(format!(
+            "19 of 20 steps are slower than {fast:.2} m/s: if users walk in this file, check frame rate, units and columns"
+        ));
+    }
+    (median > SPEED_M_S[1]).then(|| {
         format!("median speed {median:.2} m/s, while users walk at 1.0 to 1.6 m/s: check frame rate, units and columns")
     })
 }
@@ -153,6 +161,14 @@ mod tests {
         for interval_s in [0.01, 0.04, 0.4] {
             assert_eq!(of(200, interval_s, 1.2 * interval_s), Vec::<String>::new(), "{interval_s}");
         }
+    }
+
+    /// In a room of slow users, and of users who stand most of the time.
+    #[test]
+    fn slow_users_are_no_sign_of_a_wrong_unit_and_users_who_do_not_walk_are() {
+        assert_eq!(of(200, 0.1, 0.016), Vec::<String>::new());
+        let found = of(200, 0.1, 0.005);
+        assert!(found.len() == 1 && found[0].contains("if users walk in this file, check frame rate"), "{found:?}");
     }
 
     #[test]

@@ -49,7 +49,7 @@ const DIFFERENCES: [Difference; 4] = [
     Difference {
         key: "difference_qos_met",
         of_figure: "qos_met",
-        figure: "QoS met",
+        figure: "minimum rates met",
         heading: "QoS met",
         digits: 3,
         of: |row| row.difference_qos_met,

@@ -202,7 +202,7 @@ fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
          both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
         near_best.as_str(),
         ratio.as_str(),
-        "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
+        "QoS met: minimum rates met, the share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
         blocked.as_str(),
         "Trained: number of training seeds; the interval includes their spread.",
     ] {

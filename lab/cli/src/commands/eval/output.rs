@@ -35,9 +35,10 @@ pub(super) fn users(report: &Report) -> String {
     if report.blocked == 0 { users } else { format!("{users}, {} of them never with a direct path", report.blocked) }
 }
 
-/// Prints a comparison.
+/// Prints a comparison: its conditions, then its tables.
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
+    print_conditions(std::slice::from_ref(report))?;
     outln!("{}, {loop_name}: {}; {}", report.scenario, users(report), states_and_seeds(report))?;
     let width = name_width(report);
     outln!(
@@ -83,11 +84,10 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;
     print_differences(report)?;
     print_outages(report)?;
-    print_beliefs(None, std::slice::from_ref(report))?;
-    print_conditions(std::slice::from_ref(report))
+    print_beliefs(None, std::slice::from_ref(report))
 }
 
-/// Prints each condition of the rooms once.
+/// Prints each condition of the rooms once, before the figures that it concerns.
 fn print_conditions(reports: &[Report]) -> io::Result<()> {
     let mut known = Vec::new();
     for condition in reports.iter().flat_map(|report| &report.conditions) {
@@ -191,10 +191,11 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints ratio and QoS met of every policy, then their sum rates, in closed loop the time in outage,
+/// Prints the conditions, ratio and minimum rates met of every policy, then their sum rates, in closed loop the time in outage,
 /// the paired differences, and in closed loop the quality of the beliefs: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
+    print_conditions(reports)?;
     let states = states_and_seeds(first);
     let is_shared = reports.iter().all(|report| states_and_seeds(report) == states);
     let place = if is_shared { "" } else { " at the first point" };
@@ -218,8 +219,7 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     print_differences_of_points(grid, reports)?;
     note_on_episodes(reports, Some(grid))?;
     note_on_ratios(reports)?;
-    print_beliefs(Some(grid), reports)?;
-    print_conditions(reports)
+    print_beliefs(Some(grid), reports)
 }
 
 /// Prints the paired differences of each point from its bases, where the points have the same rooms.

@@ -216,7 +216,7 @@ pub fn crosses_note(tables: &str) -> Option<String> {
 fn is_near_best(row: &Value) -> bool {
     let part = |name: &str| row["difference_to_best"][name].as_f64();
     let difference = |mean: f64| Spread { mean, ci95: part("ci95").unwrap_or(f64::NAN), ..Spread::MISSING };
-    part("mean").is_some_and(|mean| !difference(mean).excludes_zero())
+    part("mean").is_some_and(|mean| difference(mean).includes_zero())
 }
 
 /// What a marked name of these tables means, if there is one.
@@ -349,7 +349,7 @@ mod tests {
         ];
         let rows = rows.map(|(name, row)| (name.to_owned(), row));
         let table = markdown(&rows, &columns(&["us | /us | .0"]), Some(""));
-        let expected = "| greedy | 1 |\n| ddpg \\~ | 1 |\n| flat | 1 |\n| hold \\~ | 1 |\n";
+        let expected = "| greedy | 1 |\n| ddpg \\~ | 1 |\n| flat | 1 |\n| hold | 1 |\n";
         assert!(table.ends_with(expected), "{table}");
         assert!(near_best_note(&table).is_some_and(|note| note.starts_with("\\~: not distinguishable from the best")));
         assert_eq!(near_best_note("| greedy | 1 |"), None);

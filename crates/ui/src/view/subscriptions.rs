@@ -21,7 +21,7 @@ pub(super) fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Ve
     })?;
     Ok(vec![
         store(bus, &room.truth(), received, Received::take_truth)?,
-        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
+        store(bus, &room.users(), received, Received::take_users)?,
         store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
         store(bus, &room.obstacles(), received, |received, obstacles| {
             received.obstacles = Some((Instant::now(), obstacles))

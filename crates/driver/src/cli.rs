@@ -121,8 +121,8 @@ struct CheckArgs {
     array: ArrayArgs,
     #[command(flatten)]
     bus: BusArgs,
-    /// Longest time for which the check waits for the start of the driver
-    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = duration::seconds)]
+    /// Seconds for which the check waits at most for the start of the driver
+    #[arg(long, value_name = "N", default_value = "30", value_parser = duration::seconds, allow_negative_numbers = true)]
     wait: Duration,
     /// Print the findings as one JSON object
     #[arg(long)]

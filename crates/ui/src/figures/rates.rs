@@ -6,6 +6,7 @@ use heliostat_proto::{NodeKind, SumRates, TruthUser, UserState};
 use serde::Serialize;
 
 use super::Origin;
+use crate::scene::ModelledSum;
 use crate::view::{Received, Sample};
 
 /// One user.
@@ -128,7 +129,7 @@ fn share_of_oracle(received: &Received, oracle: &OracleRate) -> Option<f64> {
 }
 
 /// The sum rates; `modelled` where a real room reports no gains, `None` where they are unknown.
-pub(super) fn sum(received: &Received, users: &[UserFigures], modelled: Option<SumFigures>) -> Option<SumFigures> {
+pub(super) fn sum(received: &Received, users: &[UserFigures], modelled: Option<ModelledSum>) -> Option<SumFigures> {
     if let Some(truth) = Received::fresh(&received.truth) {
         return Some(sum_of(&truth.sum_rate_bps));
     }
@@ -137,7 +138,13 @@ pub(super) fn sum(received: &Received, users: &[UserFigures], modelled: Option<S
     let is_known = !users.is_empty() && users.iter().all(|user| user.is_rate_known);
     let measured = is_known.then_some(SumFigures { policy, ..SumFigures::default() });
     let is_unknown = !users.is_empty() && users.iter().all(|user| !user.is_rate_known);
-    measured.or(modelled.filter(|_| is_unknown && !received.is_simulated()))
+    let modelled = modelled.filter(|_| is_unknown && !received.is_simulated());
+    measured.or(modelled.map(|ModelledSum { policy, no_irs }| SumFigures {
+        policy,
+        no_irs: Some(no_irs),
+        is_modelled: true,
+        ..SumFigures::default()
+    }))
 }
 
 fn sum_of(sum: &SumRates) -> SumFigures {

@@ -40,14 +40,8 @@ class Mirrors(Device):
 
 
 def verdicts(*arguments: str) -> dict[str, str]:
-    """The verdict of `heliostat driver check` on each rule.
-
-    The check waits for a driver for some seconds only, and a busy machine needs longer to start one.
-    """
-    end = time.monotonic() + LIMIT_S
-    ended = heliostat("driver", "check", "--json", *arguments)
-    while "no driver in room" in ended.stderr and time.monotonic() < end:
-        ended = heliostat("driver", "check", "--json", *arguments)
+    """The verdict of `heliostat driver check` on each rule."""
+    ended = heliostat("driver", "check", "--json", "--wait", str(LIMIT_S), *arguments)
     assert ended.stdout, ended.stderr
     report: dict[str, Any] = json.loads(ended.stdout)
     return {finding["rule"]: finding["verdict"] for finding in report["findings"]}

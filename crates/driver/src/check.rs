@@ -22,34 +22,35 @@ mod rules;
 mod safety_rules;
 mod test_session;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, join_through};
+use heliostat_service::duration;
 
 pub use self::report::{Finding, Report, Verdict};
 use self::room_in_use::expect_no_controller;
 use self::test_session::TestSession;
 
-/// Timeout for the presence of a driver.
+/// Timeout of a query for liveliness tokens.
 const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 
-/// Checks the driver of the array of a room with this index; `show` takes a line of progress before each rule.
+/// Time without a driver after which a line states that the check waits for one.
+const WAIT_SHOWN_AFTER: Duration = Duration::from_secs(1);
+
+/// Checks the driver of the array of a room with this index, and waits for its start at most `wait`. `show` takes a line
+/// before each rule. An array that was stopped is stopped again at the end.
 ///
 /// # Errors
 /// No driver in the room, a controller that would interfere, a transport that fails.
-pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Report> {
-    // A peer sees only the processes to which it connects; one of them reaches the controller.
-    if let (Some(through), _) = join_through(config, ACCEPTS_WITHIN) {
-        expect_no_controller(&through)?;
-        through.close()?;
-    }
+pub fn run(config: &BusConfig, array: usize, wait: Duration, show: &dyn Fn(String)) -> Result<Report> {
+    expect_no_controller_through(config)?;
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
     let keys = room.array(array);
-    let begun = std::time::Instant::now();
+    let (begun, mut is_shown, mut has_waited) = (Instant::now(), false, false);
     while !test_session::is_present(&bus, &keys)? {
-        if begun.elapsed() >= PRESENCE_LIMIT {
+        if begun.elapsed() >= wait {
             let reason = Bus::find_connection_problem(config).map_or_else(
                 || {
                     format!(
@@ -62,11 +63,25 @@ pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Re
             );
             bail!("no driver in room \"{room}\": {reason}");
         }
+        if begun.elapsed() >= WAIT_SHOWN_AFTER && !std::mem::replace(&mut is_shown, true) {
+            show(format!(
+                "waits for a driver of array {array} in room \"{room}\", at most {} (--wait)",
+                duration::in_seconds(wait)
+            ));
+        }
+        has_waited = true;
         std::thread::sleep(Duration::from_millis(50));
+    }
+    // The driver that has come may be the one that reaches a controller.
+    if has_waited {
+        expect_no_controller_through(config)?;
     }
     expect_no_controller(&bus)?;
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
-    let findings = rules::judge(&mut session, show)?;
+    let findings = rules::judge(&mut session, show);
+    // Also where a rule could not be tried.
+    let is_stopped = session.stop_again()?;
+    let findings = findings?;
     let report = Report {
         room: room.to_string(),
         hardware: session.capabilities.hardware.clone(),
@@ -74,7 +89,18 @@ pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Re
         mirrors: session.capabilities.mirrors(),
         findings,
         problem: session.problem(),
+        is_stopped,
     };
     session.close()?;
     Ok(report)
+}
+
+/// Refuses a room with a controller that one of the processes in `connect` reaches: a peer sees only those to which it
+/// connects.
+fn expect_no_controller_through(config: &BusConfig) -> Result<()> {
+    if let (Some(through), _) = join_through(config, ACCEPTS_WITHIN) {
+        expect_no_controller(&through)?;
+        through.close()?;
+    }
+    Ok(())
 }

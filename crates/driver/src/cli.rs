@@ -1,6 +1,7 @@
 //! The command line of the driver, on its own or as a command of `heliostat`.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
@@ -9,7 +10,7 @@ use heliostat_bus::{AccessRole, BusArgs, BusConfig};
 use heliostat_proto::{MAX_ARRAYS, Room, Stamp};
 use heliostat_service::counted::counted;
 use heliostat_service::exit::UnusableInput;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, duration, output};
 
 use crate::config::Config;
 use crate::devices::wall::Wall;
@@ -33,8 +34,8 @@ enum Command {
     /// named, and the check ends before it sends anything. The exit status is 1 if a rule is broken,
     /// or if the device does not answer.
     ///
-    /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
-    /// an operator stays in force: the check then ends with an error.
+    /// An array that starts stopped because its last state is unknown is re-armed first, and stopped
+    /// again at the end. A stop of an operator stays in force: the check then ends with an error.
     Check(CheckArgs),
 }
 
@@ -120,6 +121,9 @@ struct CheckArgs {
     array: ArrayArgs,
     #[command(flatten)]
     bus: BusArgs,
+    /// Seconds for which the check waits at most for the start of the driver
+    #[arg(long, value_name = "N", default_value = "30", value_parser = duration::seconds, allow_negative_numbers = true)]
+    wait: Duration,
     /// Print the findings as one JSON object
     #[arg(long)]
     json: bool,
@@ -160,7 +164,7 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         let (room, named) = array_of(key)?;
         (flags.room, array) = (Some(room.to_string()), named);
     }
-    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array, &output::note)?;
+    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array, args.wait, &output::note)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {

@@ -20,8 +20,8 @@ use crate::{play, recorder, replay};
 /// Record all messages of a room into an MCAP file.
 ///
 /// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over
-/// direct links only: connect to the room's process and to the controller, or let the controller
-/// connect to this process (--listen). A stream that a replay needs and that is missing is reported
+/// direct links only: connect to the processes of the room that listen (--connect), and let tracker, driver
+/// and controller connect to this process (--listen). A stream that a replay needs and that is missing is reported
 /// after some seconds and at the end. Missing messages are counted by sequence number and reported at the end.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
@@ -121,7 +121,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         ring: args.ring_mb.map(|mb| Bounds { bytes: u64::from(mb) * 1_000_000, around_fault: args.around_fault }),
     };
     let outcome = recorder::run(&settings, &stop)?;
-    print(args.json, &outcome, &outcome.account)?;
+    print(args.json, &outcome, &outcome)?;
     if let Some(failure) = &outcome.failure {
         bail!("{}: {failure}", outcome.file.display());
     }

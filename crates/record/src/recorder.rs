@@ -6,6 +6,7 @@
 mod queue;
 mod room_writer;
 
+use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -62,11 +63,25 @@ pub struct Outcome {
     /// Counts of received and missing messages.
     #[serde(flatten)]
     pub account: Account,
+    /// The streams that a replay needs and that were not received.
+    #[serde(skip)]
+    pub lacks: Vec<&'static str>,
     /// What restricts the use of the recording.
     pub problems: Vec<String>,
     /// The error that ended the writing, so that the file holds no counts and no index; or that
     /// nothing was received.
     pub failure: Option<String>,
+}
+
+impl fmt::Display for Outcome {
+    /// The counts, and on the last line what a replay lacks.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}", self.account)?;
+        if self.lacks.is_empty() {
+            return Ok(());
+        }
+        write!(formatter, "\nno replay can start from this recording: it lacks {}", self.lacks.join(" and "))
+    }
 }
 
 /// Records a room until it is stopped.

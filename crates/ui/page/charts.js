@@ -158,6 +158,9 @@ export class Charts {
   // The present sum rates.
   figures(sum) {
     const list = document.getElementById("sum-figures");
+    const title = `${sum?.is_modelled ? "Modelled sum rate" : "Sum rate"} of all users, last 90 s, Mbit/s`;
+    const heading = document.getElementById("sums-title");
+    if (heading.textContent !== title) heading.textContent = title;
     this.lines().forEach(([key, name, colour, dash], index) => {
       if (!list.children[index]) list.insertAdjacentHTML("beforeend", "<div><dt></dt><dd><span></span> <small></small></dd></div>");
       const [term, figure] = list.children[index].children;

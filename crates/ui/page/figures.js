@@ -41,7 +41,7 @@ export function chips(now, ages, file) {
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
   else chip("chip-array", array, now.array.state === "following" && !stuck ? "good" : "bad", stuck ? `${array} of ${now.array.mirrors} mirrors` : array);
   if (ages.isStale("room")) chip("chip-room", silent("room"), "bad");
-  else chip("chip-room", now.origin);
+  else chip("chip-room", now.origin === "measured" ? "real" : now.origin);
 }
 
 // The users of the table with their rates. Without the mirrors they are those of the frame that the picture shows, so

@@ -16,21 +16,10 @@ export function duration(time_s) {
 // What the page says of a source that is silent; the age is infinite where it never reported.
 export const noReport = (age) => (age === Infinity ? "no report" : `no report for ${duration(age)}`);
 
-// The sum rates of the channel model for the users of a frame; `null` where one of them has a measured rate, or an
-// array reports no angles.
-function modelledIn(users) {
-  if (users.length === 0 || users.some((user) => user.modelled_mbps == null)) return null;
-  const sum = (key) => users.reduce((total, user) => total + user[key], 0);
-  return { policy: sum("modelled_mbps"), no_irs: sum("without_mirrors_mbps") };
-}
-
-// What the mirrors add to the sum rate; where no receiver reports gains, by the channel model.
-function mirrorsIn(sum, frame) {
-  if (!sum) {
-    const modelled = modelledIn(frame?.users ?? []);
-    if (!modelled) return "The rates are unknown.";
-    return `The modelled sum rate is ${rounded(modelled.policy)} Mbit/s, and ${rounded(modelled.no_irs)} without the mirrors.`;
-  }
+// What the mirrors add to the sum rate.
+function mirrorsIn(sum) {
+  if (!sum) return "The rates are unknown.";
+  if (sum.is_modelled) return `The modelled sum rate is ${rounded(sum.policy)} Mbit/s, and ${rounded(sum.no_irs)} without the mirrors.`;
   if (sum.no_irs == null) return `The sum rate is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
   const gain = sum.policy - sum.no_irs;
   if (Math.abs(gain) < 0.05) return "Mirrors add nothing to the sum rate.";
@@ -85,7 +74,7 @@ export function sentence(now, age, shown, frame) {
   // The list of problems has the reason.
   if (refusal(now)) return "The controller refuses the position reports.";
   if (shown?.wall === false && frame) return withoutIn(frame.users);
-  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
+  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
 }
 
 // A text for a screen reader, which reads it again at each change: without ages, which change several times a second.

@@ -2,7 +2,8 @@
 //! topic.
 //!
 //! A simulated room publishes its true state and reference rates. A real room publishes positions
-//! and measured gains: rates are then computed from the measured SINR, and there are no references.
+//! and measured gains: rates are then computed from the measured SINR, and there are no references. Without measured
+//! gains the sum rate is that of the channel model.
 
 mod counts;
 mod rates;
@@ -149,7 +150,8 @@ pub struct Figures {
     pub in_charge: InCharge,
     /// The users.
     pub users: Vec<UserFigures>,
-    /// Sum rates; absent without messages, and where the rate of no user is known.
+    /// Sum rates; absent without messages, and where those of some users are unknown. Where no receiver reports gains,
+    /// those of the channel model.
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
@@ -190,6 +192,7 @@ impl View {
     pub fn figures(&self) -> Figures {
         let (room, Findings { notes, remarks }) = (self.shown_room(), self.findings());
         let is_stopped = self.stops.room().is_held();
+        let modelled = self.modelled_sum();
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);
@@ -214,7 +217,7 @@ impl View {
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
             in_charge: received.in_charge(),
-            sum_mbps: sum(&received, &users),
+            sum_mbps: sum(&received, &users, modelled),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
             controllers: received.present_controllers(),

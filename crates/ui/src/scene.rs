@@ -4,12 +4,11 @@
 //! channel model that gives the rates. Telemetry alone gives these angles: without it a mirror is
 //! drawn flat, and serves no user. Lengths are in m, rounded to millimetres.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use heliostat_channel::{Cylinder, MirrorAngles, MirrorArrays, Scene, Vec3};
 use heliostat_proto::MirrorTelemetry;
-use heliostat_scenario::{Scenario, WALKING_M_S};
+use heliostat_scenario::Scenario;
 use heliostat_service::locks::lock;
 use heliostat_service::printable::printable;
 use serde::Serialize;
@@ -63,10 +62,6 @@ pub struct SceneUser {
     pub min_rate_mbps: f64,
     /// Rate without the mirrors in Mbit/s, by the channel model.
     pub without_mirrors_mbps: f64,
-    /// Rate at the reported angles in Mbit/s, by the channel model; absent where a receiver reports the gains of this
-    /// user, in a simulated room, and where an array reports no angles.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub modelled_mbps: Option<f64>,
     /// Where the controller believes the user to be; absent if it publishes no belief.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<Belief>,
@@ -93,7 +88,7 @@ pub struct Frame {
     pub blocked_areas_m: Vec<Vec<[f64; 2]>>,
 }
 
-/// Computes the frames of a view, and keeps the heading of each user.
+/// Computes the frames of a view.
 pub struct FrameBuilder {
     view: Arc<View>,
     state: Mutex<FrameState>,
@@ -103,9 +98,16 @@ struct FrameState {
     /// The room of `scene`.
     room: Arc<ShownRoom>,
     scene: Scene,
-    /// By the number of the user.
-    headings: BTreeMap<u32, Vec3>,
     gains: Vec<f64>,
+}
+
+/// Sum rates of all users by the channel model, in Mbit/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ModelledSum {
+    /// At the reported angles.
+    pub policy: f64,
+    /// Without mirrors.
+    pub no_irs: f64,
 }
 
 /// What determines the rate at any point of the room.
@@ -162,7 +164,7 @@ impl FrameBuilder {
         if !Arc::ptr_eq(&room, &state.room) {
             *state = FrameState::new(Arc::clone(&room));
         }
-        let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
+        let (users, obstacles, telemetry) = self.view.observed(&room);
         let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let mirrors = room.model.mirrors.len();
@@ -184,12 +186,6 @@ impl FrameBuilder {
             let sinr = budget.sinr(state.scene.los_gain()[index]);
             budget.rate_bps(sinr, users.len()) * 1e-6
         };
-        let is_modelled = are_reported && unknown.is_empty() && users.iter().any(|user| user.blocked.is_none());
-        let sinr = if is_modelled { state.modelled_sinr(&angles) } else { Vec::new() };
-        let modelled = |index: usize, user: &ObservedUser| {
-            let sinr = sinr.get(index).filter(|_| user.blocked.is_none())?;
-            Some(budget.rate_bps(at_power_of(&budget, &room.model, *sinr), users.len()) * 1e-6)
-        };
         Frame {
             geometry: room.id.clone(),
             mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
@@ -200,7 +196,6 @@ impl FrameBuilder {
                     user: user.user,
                     min_rate_mbps: f64::from(user.min_rate_bps) * 1e-6,
                     without_mirrors_mbps: without_mirrors(index),
-                    modelled_mbps: modelled(index, user),
                     belief: user.belief.clone(),
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
@@ -216,9 +211,8 @@ impl FrameBuilder {
 
     /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
     pub(crate) fn optical_state(&self) -> OpticalState {
-        let mut state = lock(&self.state);
         let room = self.view.shown_room();
-        let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
+        let (users, obstacles, telemetry) = self.view.observed(&room);
         let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
         let mirrors = room.model.mirrors.len();
         OpticalState {
@@ -228,15 +222,38 @@ impl FrameBuilder {
             room,
         }
     }
+}
+
+impl View {
+    /// The sum rates at the reported angles by the channel model. `None` without users, where a process reports gains
+    /// or the truth, and where an array reports no angles.
+    pub(crate) fn modelled_sum(&self) -> Option<ModelledSum> {
+        let room = self.shown_room();
+        let (users, obstacles, telemetry) = self.observed(&room);
+        let is_reported = users.is_empty() || users.iter().any(|user| user.blocked.is_some());
+        if is_reported || !unknown_mirrors(&self.received(), &room).is_empty() {
+            return None;
+        }
+        let (model, budget) = (&room.model, self.budget(&room.model));
+        let angles = reported_angles(model.mirrors.len(), telemetry.as_ref())?;
+        let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
+        let blockers: Vec<Cylinder> = obstacles.into_iter().chain(bodies).collect();
+        let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
+        let mut scene = Scene::new(model, users.len());
+        scene.update(model, &positions, &blockers, &vec![false; users.len()]);
+        let mut sinr = vec![0.0; users.len()];
+        scene.sinr(model, &angles, &mut sinr);
+        let mbps = |sinr: f64| budget.rate_bps(sinr, users.len()) * 1e-6;
+        Some(ModelledSum {
+            policy: sinr.iter().map(|sinr| mbps(at_power_of(&budget, model, *sinr))).sum(),
+            no_irs: scene.los_gain().iter().map(|gain| mbps(budget.sinr(*gain))).sum(),
+        })
+    }
 
     /// The latest users, obstacles and telemetry. Where no process reports users any longer, the last
     /// picture stays; the page marks how old it is.
-    fn latest(
-        &self,
-        room: &ShownRoom,
-        headings: &mut BTreeMap<u32, Vec3>,
-    ) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
-        let received = self.view.received();
+    fn observed(&self, room: &ShownRoom) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+        let received = self.received();
         let is_over = !received.has_users();
         let last = || received.arrays.last_joint(&room.model.mirrors).filter(|_| is_over);
         let telemetry = received.arrays.joint(&room.model.mirrors).or_else(last);
@@ -262,21 +279,15 @@ impl FrameBuilder {
         let obstacles = shown(&received.obstacles, is_over).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(Cylinder::from).collect();
         let Some(report) = shown(&received.users, is_over) else { return (Vec::new(), obstacles, telemetry) };
-        headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
         let gains = shown(&received.channel, is_over).map_or(&[][..], |report| &report.users);
         let users = report.users.iter().map(|user| {
-            let heading = headings.entry(user.user).or_insert_with(Vec3::zeros);
-            let [x, y] = user.velocity_m_s.map(f64::from);
-            if x.hypot(y) > WALKING_M_S {
-                *heading = Vec3::new(x, y, 0.0).normalize();
-            }
             let measured = gains.iter().find(|gains| gains.user == user.user);
             let blocked = measured.map(|gains| gains.los_gain == 0.0);
             ObservedUser {
                 user: user.user,
                 min_rate_bps: user.min_rate_bps,
                 position: point(user.position_m),
-                heading: *heading,
+                heading: received.headings.get(&user.user).copied().unwrap_or_else(Vec3::zeros),
                 blocked,
                 forced: false,
                 belief: belief_of(user.user, report.stamp.time_ns),
@@ -288,7 +299,7 @@ impl FrameBuilder {
 
 impl FrameState {
     fn new(room: Arc<ShownRoom>) -> Self {
-        Self { scene: Scene::new(&room.model, 0), room, headings: BTreeMap::new(), gains: Vec::new() }
+        Self { scene: Scene::new(&room.model, 0), room, gains: Vec::new() }
     }
 
     /// Index of the user that each mirror serves, or -1.
@@ -309,13 +320,6 @@ impl FrameState {
             best.filter(|user| gain(*user) > 0.0).map_or(-1, |user| user as i32)
         };
         (0..mirrors).map(best).collect()
-    }
-
-    /// The SINR of each user of the last [`serve`](Self::serve) at these angles. Shape: users.
-    fn modelled_sinr(&self, angles: &MirrorAngles) -> Vec<f64> {
-        let mut sinr = vec![0.0; self.scene.users()];
-        self.scene.sinr(&self.room.model, angles, &mut sinr);
-        sinr
     }
 }
 
@@ -425,9 +429,13 @@ mod tests {
             view.received().users = Some((Instant::now(), report.clone()));
             let frame = frames.frame();
             assert_eq!((frame.users.len(), frame.serves.len(), frame.unusable.len()), (1, 100, 0));
-            let SceneUser { modelled_mbps, without_mirrors_mbps, .. } = frame.users[0];
+            let without_mbps = frame.users[0].without_mirrors_mbps;
             let is_served = frame.serves.iter().any(|user| *user >= 0);
-            (is_served, modelled_mbps.map(|rate| rate > without_mirrors_mbps))
+            let sum = view.modelled_sum();
+            let shown = view.figures().sum_mbps.filter(|sum| sum.is_modelled);
+            assert_eq!(shown.map(|sum| (sum.policy, sum.no_irs)), sum.map(|sum| (sum.policy, Some(sum.no_irs))));
+            assert!(sum.is_none_or(|sum| (sum.no_irs - without_mbps).abs() < 1e-9), "{sum:?}");
+            (is_served, sum.map(|sum| sum.policy > without_mbps))
         };
         assert_eq!(served(), (false, None), "no array has reported");
         let flat = || vec![0.0; 100];

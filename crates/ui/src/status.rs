@@ -166,7 +166,10 @@ impl fmt::Display for RoomStatus {
             true => format!("unknown: {}", why_without_rates(&self.figures)),
             false => "unknown".into(),
         };
-        let rate = sum_mbps.map_or_else(unknown, |sum| format!("{:.1} Mbit/s", sum.policy));
+        let rate = sum_mbps.map_or_else(unknown, |sum| {
+            let mark = if sum.is_modelled { ", modelled: no receiver reports gains" } else { "" };
+            format!("{:.1} Mbit/s{mark}", sum.policy)
+        });
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
         // Of each controller: the counts of one that has left are not those of the room.
@@ -223,7 +226,7 @@ fn users_line(users: &[UserFigures]) -> String {
 #[cfg(test)]
 mod tests {
     use crate::causes::OTHERS_MISSING;
-    use crate::figures::ArrayFigures;
+    use crate::figures::{ArrayFigures, SumFigures};
     use crate::notes::room_unseen;
 
     use super::*;
@@ -273,6 +276,10 @@ mod tests {
         };
         let measured = shown(Origin::Measured);
         assert!(measured.contains("\nsum rate     unknown: no measured gains\n"), "{measured}");
+        let sum = SumFigures { policy: 121.0, is_modelled: true, ..SumFigures::default() };
+        let figures = Figures { origin: Origin::Measured, sum_mbps: Some(sum), ..Figures::default() };
+        let modelled = RoomStatus { figures, ..RoomStatus::default() }.to_string();
+        assert!(modelled.contains("\nsum rate     121.0 Mbit/s, modelled: no receiver reports gains\n"), "{modelled}");
         let silent = shown(Origin::NoData);
         assert!(silent.contains("\nusers        unknown\nsum rate     unknown\n"), "{silent}");
     }

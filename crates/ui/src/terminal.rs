@@ -223,7 +223,13 @@ mod tests {
             policy: "greedy".into(),
             controller_alive: true,
             users: (0..users).map(user).collect(),
-            sum_mbps: Some(SumFigures { policy: 40.0, no_irs: Some(10.0), flat: Some(20.0), oracle: Some(50.0) }),
+            sum_mbps: Some(SumFigures {
+                policy: 40.0,
+                no_irs: Some(10.0),
+                flat: Some(20.0),
+                oracle: Some(50.0),
+                is_modelled: false,
+            }),
             array: ArrayFigures {
                 silent: Vec::new(),
                 state: "stopped".into(),
@@ -444,6 +450,14 @@ mod tests {
         let lines = stops(&RoomStops { standings, ..room() });
         let of_both = "arrays 0, 1 have stopped: stop 0000000000000003/4 of ann (person on the ladder)";
         assert_eq!(lines[0], of_both);
+    }
+
+    #[test]
+    fn a_modelled_sum_rate_is_marked() {
+        let sum = SumFigures { policy: 121.0, no_irs: Some(105.0), is_modelled: true, ..SumFigures::default() };
+        let modelled = Figures { origin: Origin::Measured, sum_mbps: Some(sum), ..figures(2) };
+        assert!(line(&modelled).contains("  modelled sum rate  121.0 Mbit/s (no IRS 105.0)"), "{}", line(&modelled));
+        check(&drawn(80, 24, &modelled), &["Modelled sum rate, Mbit/s", "121.00", "105.00"]);
     }
 
     #[test]

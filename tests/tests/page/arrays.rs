@@ -67,7 +67,6 @@ fn the_second_array_of_a_simulated_room_keeps_every_rule() {
         &endpoint,
         "--exit-with-parent",
     ]);
-    // The check waits for a driver for some seconds only.
     let observer = Observer::join("checked", &[&endpoint]);
     wait_until("telemetry of both arrays", || observer.states().len() == 2);
     let check = |arguments: &[&str]| {

@@ -17,10 +17,14 @@ fn python_driver(python: &str, room: &str, endpoints: &[&str]) -> PythonExample 
     PythonExample::start(python, "driver.py", &own.into_iter().chain(connect).collect::<Vec<_>>())
 }
 
+/// A check that has begun.
+fn check(arguments: &[&str]) -> Process {
+    Process::heliostat(&[&["driver", "check", "--json", "--wait", "100"], arguments].concat())
+}
+
 /// Verdicts by rule.
-fn check(arguments: &[&str]) -> Vec<(String, String)> {
-    let all: Vec<&str> = ["driver", "check", "--json"].iter().chain(arguments).copied().collect();
-    let ended = Process::heliostat(&all).wait();
+fn verdicts(check: Process) -> Vec<(String, String)> {
+    let ended = check.wait();
     assert!(ended.status.success(), "{} {}", ended.output, ended.errors);
     let report: Value = serde_json::from_str(&ended.output).expect("the report is JSON");
     let text = |finding: &Value, name: &str| finding[name].as_str().expect("a text").to_owned();
@@ -31,11 +35,10 @@ fn check(arguments: &[&str]) -> Vec<(String, String)> {
 #[test]
 fn the_simulated_array_keeps_every_rule() {
     let endpoint = private_endpoint().unwrap();
+    let check = check(&["--connect", &endpoint, "heliostat/v1/sim/mirrors/command"]);
+    wait_until("a check that waits", || check.errors().contains("waits for a driver of array 0 in room \"sim\""));
     let _room = Process::heliostat(&["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent"]);
-    // The check waits for a driver for some seconds only.
-    let observer = RoomObserver::connect("sim", &[&endpoint]);
-    wait_until("telemetry", || observer.telemetry().is_some());
-    let verdicts = check(&["--connect", &endpoint, "heliostat/v1/sim/mirrors/command"]);
+    let verdicts = verdicts(check);
     assert!(verdicts.len() > 15 && verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
 
@@ -64,7 +67,8 @@ fn a_configuration_that_no_device_can_have_ends_the_driver_at_once() {
 #[test]
 fn a_check_of_an_empty_room_is_refused() {
     let endpoint = private_endpoint().unwrap();
-    let ended = Process::heliostat(&["driver", "check", "--room", "empty", "--listen", &endpoint]).wait();
+    let ended =
+        Process::heliostat(&["driver", "check", "--room", "empty", "--wait", "1", "--listen", &endpoint]).wait();
     assert!(ended.refusal().contains("no driver in room \"empty\""), "{}", ended.errors);
 }
 
@@ -72,12 +76,9 @@ fn a_check_of_an_empty_room_is_refused() {
 #[test]
 fn a_driver_in_python_keeps_every_rule() {
     let python = python();
-    let (endpoint, of_observer) = (private_endpoint().unwrap(), private_endpoint().unwrap());
-    let observer = RoomObserver::join(&BusConfig::new(Room::new("python").unwrap()).listen_at(&of_observer));
-    let _driver = python_driver(&python, "python", &[&endpoint, &of_observer]);
-    // The check waits for a driver for some seconds only.
-    wait_until("telemetry", || observer.telemetry().is_some());
-    let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
+    let endpoint = private_endpoint().unwrap();
+    let _driver = python_driver(&python, "python", &[&endpoint]);
+    let verdicts = verdicts(check(&["--listen", &endpoint, "--room", "python"]));
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
 

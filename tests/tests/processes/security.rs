@@ -186,7 +186,7 @@ fn a_check_that_is_not_connected_names_the_fault_of_its_keys() {
     let _processes = start(&keys, &room, &controller);
     keys.observer(AccessRole::Viewer, &[&room, &controller]).wait_for_commands();
     let check = |arguments: &[&str]| {
-        let ended = run(&[&["driver", "check", "--room", ROOM], arguments].concat());
+        let ended = run(&[&["driver", "check", "--room", ROOM, "--wait", "5"], arguments].concat());
         assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
         ended.errors
     };

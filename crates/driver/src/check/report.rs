@@ -44,6 +44,8 @@ pub struct Report {
     /// Why the device or the driver failed during the check, and what to do; rules that it prevents are
     /// not judged.
     pub problem: Option<String>,
+    /// Whether an array that was stopped before the check reports the stop at its end; `None` for any other array.
+    pub is_stopped: Option<bool>,
     /// Every rule, in the order of the check.
     pub findings: Vec<Finding>,
 }
@@ -54,7 +56,7 @@ impl Report {
         self.of(Verdict::Broken)
     }
 
-    /// The last line: the names of the rules that are broken, and of those that could not be judged.
+    /// The line of verdicts: the names of the rules that are broken, and of those that could not be judged.
     pub fn conclusion(&self) -> String {
         let named = |verdict, words: &str| {
             let rules: Vec<&str> = self.of(verdict).map(|finding| finding.rule).collect();
@@ -100,7 +102,16 @@ impl fmt::Display for Report {
         for rule in BY_HAND {
             write_rule(f, "by hand", rule)?;
         }
-        writeln!(f, "{}", self.conclusion())
+        writeln!(f, "{}", self.conclusion())?;
+        match self.is_stopped {
+            None => Ok(()),
+            Some(true) => writeln!(f, "the array is stopped again, as before the check: heliostat rearm releases it"),
+            Some(false) => writeln!(
+                f,
+                "the array was stopped before the check, and does not report the stop at its end: expected the state \
+                 stopped; end the driver before a controller starts"
+            ),
+        }
     }
 }
 
@@ -188,6 +199,7 @@ mod tests {
             driver: "test".into(),
             mirrors: 2,
             problem: Some("the device did not answer during the check: turn raised".into()),
+            is_stopped: None,
             findings: vec![finding("follow", Verdict::NotJudged), finding("stop", Verdict::Kept)],
         };
         let text = report.to_string();
@@ -209,6 +221,7 @@ mod tests {
             driver: "test".into(),
             mirrors: 2,
             problem: None,
+            is_stopped: None,
             findings: findings.iter().copied().map(finding).collect(),
         };
         let (kept, broken, not_judged) = (("park", Verdict::Kept), ("stop", Verdict::Broken), Verdict::NotJudged);
@@ -223,6 +236,12 @@ mod tests {
         ] {
             let text = report(findings).to_string();
             assert_eq!(text.lines().last(), Some(last), "{text}");
+        }
+        for (is_stopped, words) in
+            [(true, "is stopped again, as before the check"), (false, "does not report the stop")]
+        {
+            let text = Report { is_stopped: Some(is_stopped), ..report(&[kept]) }.to_string();
+            assert!(text.lines().last().is_some_and(|last| last.contains(words)), "{text}");
         }
         let json = serde_json::to_value(report(&[("follow", not_judged)])).expect("texts and numbers");
         assert_eq!(json["findings"][0]["verdict"], "not-judged");

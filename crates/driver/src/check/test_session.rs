@@ -29,6 +29,9 @@ pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 /// Telemetry messages within which each driver of the array has reported.
 const SOURCES_WITHIN: usize = 10;
 
+/// Operator of the orders of the check.
+const OPERATOR: &str = "driver check";
+
 /// Validity of commands in checks that do not concern validity.
 pub const VALIDITY_MS: u32 = 3000;
 
@@ -55,6 +58,8 @@ pub struct TestSession {
     /// Sequence of the last command.
     pub sequence: u64,
     source: u64,
+    /// Whether the array was stopped before the check.
+    was_stopped: bool,
     calibrations_sent: u64,
     stops_sent: Cell<u64>,
     /// Whether the room has keys: its driver refuses re-arms of kind 9.
@@ -127,6 +132,7 @@ impl TestSession {
             epoch: 0,
             sequence: 0,
             source: source_id::random(),
+            was_stopped: false,
             calibrations_sent: 0,
             stops_sent: Cell::new(0),
             safety: None,
@@ -177,21 +183,33 @@ impl TestSession {
         Ok(())
     }
 
-    /// Re-arms an array that started stopped; a stop with a sender stays in force.
+    /// Re-arms an array that started stopped, or that an earlier check has stopped; any other stop stays in force.
     fn release_start(&mut self) -> Result<()> {
         let stop = self.safety.clone().filter(|safety| safety.stopped);
         let stop = stop.context("the array is stopped: re-arm it before the check, with heliostat ui")?;
+        let name = (stop.stop_source, stop.stop_sequence);
         ensure!(
-            (stop.stop_source, stop.stop_sequence) == (0, 0),
+            name == (0, 0) || stop.operator == OPERATOR,
             "the array is stopped by {:?}: {:?}; re-arm it before the check, with heliostat rearm",
             stop.operator,
             stop.reason
         );
         let from = self.count();
-        self.send_rearm(0, 0)?;
+        self.send_rearm(name.0, name.1)?;
         let released = self.telemetry(from, |telemetry| telemetry.state != ArrayState::Stopped);
-        released.context("the array started stopped, and a re-arm of that stop does not release it")?;
+        released.context("the array is stopped, and a re-arm of that stop does not release it")?;
+        self.was_stopped = true;
         Ok(())
+    }
+
+    /// Stops an array again that was stopped before the check; whether it then reports this, `None` for any other array.
+    pub fn stop_again(&self) -> Result<Option<bool>> {
+        if !self.was_stopped {
+            return Ok(None);
+        }
+        let from = self.count();
+        self.send_stop(StopAction::Stop, utc_ns())?;
+        Ok(Some(self.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped).is_some()))
     }
 
     /// Ends the session.
@@ -416,7 +434,7 @@ fn stop_message(stamp: Stamp, action: StopAction) -> Result<Vec<u8>> {
 
 /// Operator and reason of the orders of the check.
 fn texts() -> (String, String) {
-    ("driver check".into(), "conformance check".into())
+    (OPERATOR.into(), "conformance check".into())
 }
 
 fn total(counters: &Counters) -> u64 {

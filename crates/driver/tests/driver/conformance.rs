@@ -92,7 +92,7 @@ impl Device for Exact {
     }
 }
 
-/// Waits for the tokens of so many drivers: the check waits for one for some seconds only.
+/// Waits for the tokens of so many drivers: the check waits for one.
 fn wait_for_drivers(config: &BusConfig, count: usize) {
     let Ok(bus) = Bus::open(config) else { return };
     let begun = Instant::now();
@@ -111,8 +111,7 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
         let config = config.connect_to(&endpoint);
-        wait_for_drivers(&config, 1);
-        let report = check::run(&config, 0, &drop);
+        let report = check::run(&config, 0, LIMIT, &drop);
         stop.request();
         report.unwrap()
     })
@@ -128,6 +127,28 @@ fn a_driver_with_the_kit_keeps_every_rule() {
         checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
+}
+
+#[test]
+fn a_check_ends_with_a_stop_where_it_began_with_one_and_a_later_check_releases_that_stop() {
+    let begins_stopped = |room: &str, stopped_by: Option<&str>| {
+        let folder = tempfile::tempdir().unwrap();
+        checked(room, |bus, stop| {
+            let mut kit = Kit::new(Exact::new());
+            if let Some(operator) = stopped_by {
+                let stop = LatchedStop { source: 7, sequence: 1, operator: operator.into(), ..Default::default() };
+                kit.stop(Moment::default(), stop);
+            }
+            let record = StopRecordSettings { directory: Some(folder.path().to_owned()), start_armed: true };
+            drop(run::run(kit, &Settings { record, ..Settings::new(bus) }, stop).unwrap());
+        })
+    };
+    std::thread::scope(|scope| {
+        let released = scope.spawn(|| begins_stopped("released", None));
+        let again = begins_stopped("again", Some("driver check"));
+        assert_eq!((released.join().unwrap().is_stopped, again.is_stopped), (None, Some(true)), "{again}");
+        assert_eq!(broken(&again), [""; 0], "{again}");
+    });
 }
 
 #[test]
@@ -367,7 +388,7 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
         scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
         let config = config.connect_to(&endpoint);
         wait_for_drivers(&config, 1);
-        let refusal = check::run(&config, 0, &drop);
+        let refusal = check::run(&config, 0, LIMIT, &drop);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
@@ -388,7 +409,7 @@ fn an_array_with_two_drivers_is_not_checked() {
             scope.spawn(move || run::run(Kit::new(Exact::new()), &settings, stop).unwrap());
         }
         wait_for_drivers(&both, 2);
-        let refusal = check::run(&both, 0, &drop);
+        let refusal = check::run(&both, 0, LIMIT, &drop);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("2 drivers report this array"), "{refusal}");
@@ -424,7 +445,7 @@ fn a_room_with_a_controller_that_only_the_driver_reaches_is_not_checked() {
         while begun.elapsed() < LIMIT && through.alive(&controllers, LIMIT).is_ok_and(|tokens| tokens.is_empty()) {
             std::thread::sleep(Duration::from_millis(20));
         }
-        let refusal = check::run(&config, 0, &drop);
+        let refusal = check::run(&config, 0, LIMIT, &drop);
         stop.request();
         end.request();
         let refusal = format!("{:#}", refusal.unwrap_err());

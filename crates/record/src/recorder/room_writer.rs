@@ -33,6 +33,24 @@ const MISSING_AFTER: Duration = Duration::from_secs(5);
 const NOTHING: &str =
     "nothing was received; check that the room's process runs, with the same --room and a matching endpoint";
 
+/// A stream that a replay needs.
+#[derive(Clone, Copy)]
+struct Needed {
+    /// One message of it.
+    message: &'static str,
+    /// Its messages.
+    stream: &'static str,
+    /// The process that publishes it in a real room.
+    process: &'static str,
+}
+
+/// The streams that a replay needs, in the order of [`RoomWriter::lacking`].
+const NEEDED: [Needed; 3] = [
+    Needed { message: "command", stream: "commands", process: "controller" },
+    Needed { message: "position report", stream: "position reports", process: "tracker" },
+    Needed { message: "telemetry", stream: "telemetry", process: "driver" },
+];
+
 const PRESENCE: Topic<'static> = Topic {
     name: PRESENCE_TOPIC,
     encoding: "json",
@@ -264,31 +282,43 @@ impl<S: Storage> RoomWriter<S> {
         self.problems.push(problem);
     }
 
-    /// The stream that is missing after some seconds of recording, once.
-    pub(super) fn missing_once(&mut self, recorded: Duration) -> Option<&'static str> {
+    /// What is missing after some seconds of recording, and what to do, once.
+    pub(super) fn missing_once(&mut self, recorded: Duration) -> Option<String> {
         if self.has_looked || recorded < MISSING_AFTER {
             return None;
         }
         self.has_looked = true;
-        if self.account.messages() == 0 { Some(NOTHING) } else { self.missing_stream() }
+        if self.account.messages() == 0 { Some(NOTHING.to_owned()) } else { self.missing() }
     }
 
-    /// The stream that a replay needs and that was not received.
-    fn missing_stream(&self) -> Option<&'static str> {
-        let received = |key: String| self.account.streams.contains_key(&key);
-        if !received(self.room.command()) && self.fault_watch.has_down() {
-            Some("no command was received: an array is stopped or has lost its device, and a replay needs commands")
-        } else if !received(self.room.command()) {
-            Some(
-                "no command was received: peers exchange messages over direct links only; connect to the controller as well, or let it connect here (--listen)",
-            )
-        } else if !received(self.room.users()) {
-            Some(
-                "no position report was received: peers exchange messages over direct links only; connect to the room's process as well",
-            )
-        } else {
-            None
+    /// The streams that a replay needs and that were not received.
+    fn lacking(&self) -> Vec<Needed> {
+        let keys = [self.room.command(), self.room.users(), self.room.telemetry()];
+        let lacks = |(key, needed): (String, Needed)| (!self.account.streams.contains_key(&key)).then_some(needed);
+        keys.into_iter().zip(NEEDED).filter_map(lacks).collect()
+    }
+
+    /// The streams that a replay needs and that were not received, and what to do.
+    fn missing(&self) -> Option<String> {
+        let lacking = self.lacking();
+        let lacks_command = !self.account.streams.contains_key(&self.room.command());
+        if lacks_command && self.fault_watch.has_down() {
+            return Some(
+                "no command was received: an array is stopped or has lost its device, and a replay needs commands"
+                    .into(),
+            );
         }
+        let joined =
+            |part: fn(&Needed) -> &'static str, by: &str| lacking.iter().map(part).collect::<Vec<_>>().join(by);
+        let simulator = if lacking.len() > usize::from(lacks_command) { " (or the simulator)" } else { "" };
+        (!lacking.is_empty()).then(|| {
+            format!(
+                "no {} was received: peers exchange messages over direct links only; let the {}{simulator} connect \
+                 here (--listen), or connect to where it listens (--connect)",
+                joined(|needed| needed.message, ", no "),
+                joined(|needed| needed.process, " and the ")
+            )
+        })
     }
 
     /// Length of the present file in bytes.
@@ -332,9 +362,10 @@ impl<S: Storage> RoomWriter<S> {
         self.account.dropped = dropped;
         if self.account.messages() == 0 {
             self.failure.get_or_insert(NOTHING.to_owned());
-        } else if let Some(problem) = self.missing_stream() {
-            self.report(problem.to_owned());
+        } else if let Some(problem) = self.missing() {
+            self.report(problem);
         }
+        let lacking = if self.account.messages() == 0 { Vec::new() } else { self.lacking() };
         if let Some(recording) = self.recording.take() {
             self.file_account.dropped = dropped;
             let finished = recording.finish(&self.file_account).and_then(|()| self.place.check());
@@ -348,6 +379,7 @@ impl<S: Storage> RoomWriter<S> {
             file: self.place.path().to_owned(),
             files: Vec::new(),
             account: self.account,
+            lacks: lacking.iter().map(|needed| needed.stream).collect(),
             problems: self.problems,
             failure: self.failure,
         }

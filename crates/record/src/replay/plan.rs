@@ -297,7 +297,7 @@ fn no_report(unreadable: &Unreadable, was_cut: bool) -> Error {
     let why = if was_cut {
         "the recording was cut, and nothing complete precedes the cut: copy the file again, or record again"
     } else {
-        "the recorder was not connected to the room's process: record again with its endpoint in --connect"
+        "the recorder was not connected to the tracker or the simulator: record again with a direct link to it, by --listen or --connect"
     };
     anyhow!("it holds no position report: {why}")
 }

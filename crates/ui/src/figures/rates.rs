@@ -6,6 +6,7 @@ use heliostat_proto::{NodeKind, SumRates, TruthUser, UserState};
 use serde::Serialize;
 
 use super::Origin;
+use crate::scene::ModelledSum;
 use crate::view::{Received, Sample};
 
 /// One user.
@@ -40,8 +41,8 @@ impl UserFigures {
     }
 }
 
-/// Sum rates at the same instant in Mbit/s; references are absent in a real room. The sum covers the
-/// users whose rate is known.
+/// Sum rates of all users at the same instant in Mbit/s. In a real room references are absent, but for the modelled
+/// one without mirrors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumFigures {
     /// With the mirrors as they are.
@@ -52,6 +53,9 @@ pub struct SumFigures {
     pub flat: Option<f64>,
     /// At the best angles that meet the minimum rates.
     pub oracle: Option<f64>,
+    /// Whether the channel model gives them, because no receiver reports gains.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub is_modelled: bool,
 }
 
 /// Sum rates at a past instant, and what the mirrors followed then.
@@ -124,20 +128,34 @@ fn share_of_oracle(received: &Received, oracle: &OracleRate) -> Option<f64> {
     (oracle.mbps > 0.0).then(|| f64::from(*rate_bps) * 1e-6 / oracle.mbps)
 }
 
-/// The sum rates; `None` where they are unknown.
-pub(super) fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
+/// The sum rates; `modelled` where a real room reports no gains, `None` where they are unknown.
+pub(super) fn sum(received: &Received, users: &[UserFigures], modelled: Option<ModelledSum>) -> Option<SumFigures> {
     if let Some(truth) = Received::fresh(&received.truth) {
         return Some(sum_of(&truth.sum_rate_bps));
     }
     let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
     // A sum without the unknown rates would be too small.
     let is_known = !users.is_empty() && users.iter().all(|user| user.is_rate_known);
-    is_known.then_some(SumFigures { policy, ..SumFigures::default() })
+    let measured = is_known.then_some(SumFigures { policy, ..SumFigures::default() });
+    let is_unknown = !users.is_empty() && users.iter().all(|user| !user.is_rate_known);
+    let modelled = modelled.filter(|_| is_unknown && !received.is_simulated());
+    measured.or(modelled.map(|ModelledSum { policy, no_irs }| SumFigures {
+        policy,
+        no_irs: Some(no_irs),
+        is_modelled: true,
+        ..SumFigures::default()
+    }))
 }
 
 fn sum_of(sum: &SumRates) -> SumFigures {
     let mbps = |bps: f64| Some(bps * 1e-6);
-    SumFigures { policy: sum.policy * 1e-6, no_irs: mbps(sum.no_irs), flat: mbps(sum.flat), oracle: mbps(sum.oracle) }
+    SumFigures {
+        policy: sum.policy * 1e-6,
+        no_irs: mbps(sum.no_irs),
+        flat: mbps(sum.flat),
+        oracle: mbps(sum.oracle),
+        is_modelled: false,
+    }
 }
 
 #[cfg(test)]

@@ -173,7 +173,8 @@ fn draw_rates(frame: &mut Frame, area: Rect, figures: &Figures, history: &[(f64,
             Span::from("█".repeat((share.clamp(0.0, 1.0) * f64::from(SUM_BAR)).round() as usize)).fg(colour),
         ])
     });
-    let title = Line::from("Sum rate, Mbit/s".bold());
+    let title = if sum.is_modelled { "Modelled sum rate, Mbit/s" } else { "Sum rate, Mbit/s" };
+    let title = Line::from(title.bold());
     frame.render_widget(Paragraph::new(std::iter::once(title).chain(lines).collect::<Vec<_>>()), bars);
     if chart.height >= 3 {
         draw_history(frame, chart, history);

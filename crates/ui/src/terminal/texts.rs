@@ -45,14 +45,20 @@ pub(super) fn line(figures: &Figures) -> String {
     let others = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
     let [decision, round, ..] = &figures.times[..] else { return String::new() };
     format!(
-        "tick {:>6}  {}  blocked {blocked}/{}  sum rate {:6.1} Mbit/s{others}  decision p99 {}  loop p99 {}",
+        "tick {:>6}  {}  blocked {blocked}/{}  {} {:6.1} Mbit/s{others}  decision p99 {}  loop p99 {}",
         figures.tick,
         figures.array.state,
         figures.users.len(),
+        sum_name(sum),
         sum.policy,
         time(decision, |us| us.p99),
         time(round, |us| us.p99),
     )
+}
+
+/// The name of a sum rate.
+pub(super) fn sum_name(sum: &SumFigures) -> &'static str {
+    if sum.is_modelled { "modelled sum rate" } else { "sum rate" }
 }
 
 /// The known sum rates by name, the policy first.

@@ -5,10 +5,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::Presence;
+use heliostat_channel::Vec3;
 use heliostat_proto::{
     BeliefReport, ChannelReport, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth,
     SumRates, UserReport, make_place,
 };
+use heliostat_scenario::WALKING_M_S;
 use heliostat_service::clock::utc_ns;
 
 use crate::array_reports::ArrayReports;
@@ -49,6 +51,8 @@ pub(crate) struct Received {
     pub users: Dated<UserReport>,
     /// The position reports that were kept.
     pub user_reports: u64,
+    /// Unit vectors of the walks of the reported users, by their numbers; zero for one that has not walked yet.
+    pub headings: BTreeMap<u32, Vec3>,
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub arrays: ArrayReports,
@@ -237,11 +241,21 @@ impl Received {
         owner.is_none_or(|owner| owner == source)
     }
 
-    pub(super) fn take_users(&mut self, users: UserReport) {
-        if self.is_of_owner(users.stamp.source) {
-            self.user_reports += 1;
-            self.users = Some((Instant::now(), users));
+    /// Keeps a user report of the owner, and the headings of its users: a user who stands still keeps the last one.
+    pub(super) fn take_users(&mut self, report: UserReport) {
+        if !self.is_of_owner(report.stamp.source) {
+            return;
         }
+        self.headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
+        for user in &report.users {
+            let heading = self.headings.entry(user.user).or_insert_with(Vec3::zeros);
+            let [x, y] = user.velocity_m_s.map(f64::from);
+            if x.hypot(y) > WALKING_M_S {
+                *heading = Vec3::new(x, y, 0.0).normalize();
+            }
+        }
+        self.user_reports += 1;
+        self.users = Some((Instant::now(), report));
     }
 
     pub(super) fn take_channel(&mut self, channel: ChannelReport) {
@@ -314,7 +328,7 @@ pub(super) fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp, TruthUser};
+    use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp, TruthUser, UserState};
 
     use super::*;
 
@@ -402,6 +416,21 @@ mod tests {
         received.take_status(0, NodeStatus { node: NodeKind::SimNode, ..status(7, 0, 0) });
         received.take_truth(truth(20e6));
         assert_eq!(received.rates_at_status, [(3, 10e6)]);
+    }
+
+    #[test]
+    fn a_user_who_stands_still_keeps_its_heading_until_it_leaves() {
+        let mut received = Received::default();
+        let mut heading = |velocity_m_s| {
+            let users = vec![UserState { user: 3, velocity_m_s, ..UserState::default() }];
+            received.take_users(UserReport { users, ..UserReport::default() });
+            received.headings[&3]
+        };
+        assert_eq!(heading([0.0, 0.0]), Vec3::zeros());
+        assert_eq!(heading([0.0, 1.5]), Vec3::new(0.0, 1.0, 0.0));
+        assert_eq!(heading([0.0, 0.0]), Vec3::new(0.0, 1.0, 0.0));
+        received.take_users(UserReport::default());
+        assert!(received.headings.is_empty());
     }
 
     #[test]

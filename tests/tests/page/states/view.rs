@@ -329,15 +329,22 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
-           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users, sum_mbps: null }; \
-           const of = (modelled) => sentence(now, 0.1, { wall: true }, { \
-             users: modelled.map((modelled_mbps) => ({ modelled_mbps, without_mirrors_mbps: 6 })) }); \
-           return [of([20, 25]), of([20, undefined])]; })";
+           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users }; \
+           const of = (sum_mbps) => sentence({ ...now, sum_mbps }, 0.1, { wall: true }); \
+           return [of({ policy: 45, no_irs: 12, is_modelled: true }), of(null)]; })";
     let expected = [
         "The modelled sum rate is 45 Mbit/s, and 12 without the mirrors. No receiver reports the gains of its user.",
         "The rates are unknown. No receiver reports the gains of its user.",
     ];
     assert_eq!(browser.run(script), serde_json::json!(expected));
+    // The title of the chart follows the figures; in one script, before the next ones.
+    let titles = "return import('/charts.js').then(({ Charts }) => { \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
+           charts.theme(); \
+           const title = (sum) => { charts.figures(sum); return document.getElementById('sums-title').textContent; }; \
+           return [title({ policy: 45, is_modelled: true }), title({ policy: 45 })]; })";
+    let expected = ["Modelled sum rate of all users, last 90 s, Mbit/s", "Sum rate of all users, last 90 s, Mbit/s"];
+    assert_eq!(browser.run(titles), serde_json::json!(expected));
 }
 
 #[needs("browser")]

@@ -1,4 +1,5 @@
-//! The remaining time of a calibration as it is shown: it falls, or the reason of its rise is named.
+//! The remaining time of a calibration as it is shown: it falls, or the reason of its rise is named. Without a further
+//! reading it stays.
 
 use heliostat_calibrate::{Progress, Stage};
 
@@ -13,6 +14,8 @@ const RISE_S: f64 = 1.0;
 #[derive(Debug, Default)]
 pub struct Remaining {
     shown: Option<(Stage, f64)>,
+    /// Readings then.
+    readings: usize,
     /// Mirrors of a group at the last spot.
     group: usize,
     /// An event since the last rise, which can cause the next one.
@@ -22,12 +25,18 @@ pub struct Remaining {
 impl Remaining {
     /// Replaces the remaining time by the one to show; the reason if it has risen.
     pub fn follow(&mut self, progress: &mut Progress, group: usize) -> Option<String> {
-        let Progress { stage, remaining_s, .. } = *progress;
+        let Progress { stage, remaining_s, readings, .. } = *progress;
+        let has_read = std::mem::replace(&mut self.readings, readings) != readings;
         let Some((former, shown_s)) = self.shown else {
             (self.shown, self.group) = (Some((stage, remaining_s)), group);
             return None;
         };
         self.note_event(former, stage, group);
+        if stage == former && !has_read {
+            // The estimate follows the times of reports, which tell nothing about readings while none is made.
+            progress.remaining_s = shown_s;
+            return None;
+        }
         let reason = match self.event.take() {
             event if remaining_s <= shown_s => {
                 self.event = event;
@@ -71,9 +80,10 @@ mod tests {
 
     #[test]
     fn the_remaining_time_rises_only_with_a_reason_that_is_named() {
-        let mut remaining = Remaining::default();
+        let (mut remaining, mut readings) = (Remaining::default(), 0);
         let mut follow = |stage, remaining_s: f64, group| {
-            let mut progress = Progress { stage, located: (0, 100), readings: 0, unused: 0, remaining_s };
+            readings += 1;
+            let mut progress = Progress { stage, located: (0, 100), readings, unused: 0, remaining_s };
             let reason = remaining.follow(&mut progress, group);
             (progress.remaining_s, reason.unwrap_or_default())
         };
@@ -92,5 +102,23 @@ mod tests {
         let (shown_s, reason) = follow(Stage::Await(0), 320.0, 31);
         assert!(shown_s == 320.0 && reason.ends_with("has left its place"), "{reason}");
         assert_eq!(follow(Stage::Await(1), 200.0, 31), (200.0, String::new()));
+    }
+
+    #[test]
+    fn the_remaining_time_stays_while_no_reading_is_made() {
+        let mut remaining = Remaining::default();
+        let mut follow = |stage, readings, remaining_s| {
+            let mut progress = Progress { stage, located: (0, 100), readings, unused: 0, remaining_s };
+            let reason = remaining.follow(&mut progress, 1);
+            (progress.remaining_s, reason.is_some())
+        };
+        assert_eq!(follow(Stage::Probe(0), 580, 35.0), (35.0, false));
+        for stage in [Stage::Probe(0), Stage::Await(0), Stage::Dark(0)] {
+            let (shown_s, _) = follow(stage, 580, 35.0);
+            for estimate_s in [49.0, 70.0, 19.0] {
+                assert_eq!(follow(stage, 580, estimate_s), (shown_s, false), "{stage:?}");
+            }
+        }
+        assert_eq!(follow(Stage::Dark(0), 581, 19.0), (19.0, false));
     }
 }

@@ -59,25 +59,36 @@ pub fn stage(session: &Session) {
     }
 }
 
-/// The reported position of a receiver without the noise of the tracker.
+/// Where a receiver stands by its reports, without the noise of the tracker and the points of a walk.
 #[derive(Debug, Default)]
-pub struct SteadyPosition(Option<[f64; 2]>);
+pub struct SteadyPosition {
+    shown_m: Option<[f64; 2]>,
+    last_m: Option<[f64; 2]>,
+}
 
 impl SteadyPosition {
-    /// The position of the last call, unless this one is more than [`MOVED_M`] from it.
+    /// The position that was shown, until the receiver stands more than [`MOVED_M`] from it: two calls have then about
+    /// the same position.
     fn follow(&mut self, reported_m: Option<[f64; 2]>) -> Option<[f64; 2]> {
-        let is_near = |[x, y]: [f64; 2], [at_x, at_y]: [f64; 2]| (at_x - x).hypot(at_y - y) <= MOVED_M;
-        let has_stayed = self.0.zip(reported_m).is_some_and(|(before, now)| is_near(before, now));
-        if !has_stayed {
-            self.0 = reported_m;
+        let is_near = |before: Option<[f64; 2]>| {
+            let pair = before.zip(reported_m);
+            pair.is_some_and(|([x, y], [at_x, at_y])| (at_x - x).hypot(at_y - y) <= MOVED_M)
+        };
+        let is_new = self.shown_m.is_none() || reported_m.is_none();
+        if is_new || (is_near(self.last_m) && !is_near(self.shown_m)) {
+            self.shown_m = reported_m;
         }
-        self.0
+        self.last_m = reported_m;
+        self.shown_m
     }
 }
 
 /// What a calibration waits for until the receiver stands where it shall.
 pub fn waits_for_receiver(session: &Session, position: &mut SteadyPosition) -> Option<String> {
-    let Stage::Await(index) = session.stage() else { return None };
+    let Stage::Await(index) = session.stage() else {
+        *position = SteadyPosition::default();
+        return None;
+    };
     let [x, y] = session.place()?.floor_m?;
     Some(waits(&place_name(index, session.spot_count()), [x, y], position.follow(session.receiver_m())))
 }
@@ -296,12 +307,15 @@ mod tests {
     }
 
     #[test]
-    fn a_reported_position_is_a_new_one_only_when_the_receiver_has_moved() {
+    fn a_reported_position_is_a_new_one_only_when_the_receiver_stands_elsewhere() {
         let mut position = SteadyPosition::default();
         let reported = [[-1.52, 0.84], [-1.46, 0.79], [-1.56, 0.86], [-1.3, 0.84], [-1.25, 0.84]];
         let shown: Vec<_> = reported.into_iter().map(|at| position.follow(Some(at))).collect();
-        let [first, moved] = [Some([-1.52, 0.84]), Some([-1.3, 0.84])];
-        assert_eq!(shown, [first, first, first, moved, moved]);
+        let [first, moved] = [Some([-1.52, 0.84]), Some([-1.25, 0.84])];
+        assert_eq!(shown, [first, first, first, first, moved]);
+        for walked in [[-0.5, 0.8], [0.5, 0.8], [1.5, 0.8]] {
+            assert_eq!(position.follow(Some(walked)), moved, "a walk has no line of its own");
+        }
         assert_eq!(position.follow(None), None, "no report names it any longer");
     }
 

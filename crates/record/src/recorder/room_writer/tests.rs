@@ -37,15 +37,38 @@ fn a_missing_stream_is_reported_once_during_the_recording() {
         [early, MISSING_AFTER, MISSING_AFTER].map(|recorded| writer.missing_once(recorded).unwrap_or_default())
     };
     assert_eq!(after(&[]), ["", NOTHING, ""]);
-    let [early, due, again] = after(&[room.users()]);
-    assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
-    assert!(after(&[room.command()])[1].starts_with("no position report was received"));
-    assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    let [early, due, again] = after(&[room.users(), room.telemetry()]);
+    assert!(early.is_empty() && again.is_empty(), "{early:?} {again:?}");
+    assert!(due.starts_with("no command was received") && due.contains("let the controller connect here"), "{due}");
+    let [_, real, _] = after(&[room.command()]);
+    assert!(real.starts_with("no position report, no telemetry was received"), "{real}");
+    assert!(real.contains("let the tracker and the driver (or the simulator) connect here (--listen)"), "{real}");
+    assert_eq!(after(&[room.users(), room.command(), room.telemetry()]), [""; 3]);
     let (mut held, mut payload) = (writer(&room, scenario.clone()), Vec::new());
     let telemetry = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
     encode(&telemetry, &mut payload).expect("encodable");
     held.take(Item::Payload { key: room.array(0).telemetry(), arrived_ns: 1, payload });
     assert!(held.missing_once(MISSING_AFTER).is_some_and(|reason| reason.contains("is stopped")), "no connection");
+}
+
+#[test]
+fn the_last_line_of_a_recording_names_the_streams_that_a_replay_lacks() {
+    let room = Room::new("alone").expect("a name");
+    let scenario = Scenario::builtin("specular").expect("a built-in one");
+    let last_line = |keys: &[String]| {
+        let mut writer = writer(&room, scenario.clone());
+        for key in keys {
+            writer.take(Item::Payload { key: key.clone(), arrived_ns: 1, payload: Vec::new() });
+        }
+        writer.finish(0).to_string().lines().last().unwrap_or_default().to_owned()
+    };
+    assert_eq!(
+        last_line(&[room.command()]),
+        "no replay can start from this recording: it lacks position reports and telemetry"
+    );
+    let complete = last_line(&[room.users(), room.command(), room.telemetry()]);
+    assert!(complete.starts_with("heliostat/v1/alone/users"), "{complete}");
+    assert!(last_line(&[]).starts_with("stream"), "without a message, the error says what was wrong");
 }
 
 #[test]

@@ -273,5 +273,5 @@ fn an_onnx_actor_gives_the_angles() {
 #[test]
 fn without_users_both_ways_to_give_them_are_named() {
     let errors = refusal(&[]);
-    assert!(errors.contains("--users <FILE>") && errors.contains("--user <X,Y[,Z]>"), "{errors}");
+    assert!(errors.contains("--user X,Y") && errors.contains("--users with a CSV"), "{errors}");
 }

@@ -241,11 +241,15 @@ impl Received {
         owner.is_none_or(|owner| owner == source)
     }
 
-    /// Keeps a user report of the owner, and the headings of its users: a user who stands still keeps the last one.
+    /// Keeps a user report of the owner, and the headings of its users: a user who stands still keeps the last one. The
+    /// other reports of a former owner are forgotten, so that two sources never mix.
     pub(super) fn take_users(&mut self, report: UserReport) {
-        if !self.is_of_owner(report.stamp.source) {
+        let source = report.stamp.source;
+        if !self.is_of_owner(source) {
             return;
         }
+        self.channel.take_if(|(_, channel)| channel.stamp.source != source);
+        self.obstacles.take_if(|(_, obstacles)| obstacles.stamp.source != source);
         self.headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
         for user in &report.users {
             let heading = self.headings.entry(user.user).or_insert_with(Vec3::zeros);
@@ -365,7 +369,9 @@ mod tests {
         assert_eq!(take(&mut received, 1), ([Some(1); 3], 1));
         assert_eq!(take(&mut received, 2), ([Some(1); 3], 1));
         received.take_presence((NodeKind::Tracker.name(), 1), Presence::Gone);
-        assert_eq!(take(&mut received, 2), ([Some(2); 3], 2));
+        received.take_users(UserReport { stamp: stamp(2), ..UserReport::default() });
+        assert!(received.channel.is_none() && received.obstacles.is_none(), "those of the first one");
+        assert_eq!(take(&mut received, 2), ([Some(2); 3], 3));
     }
 
     #[test]

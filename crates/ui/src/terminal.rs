@@ -84,14 +84,13 @@ impl Display {
         })
     }
 
-    /// Shows a command that the user may give elsewhere, with its purpose; in the full-screen view in place of the second
-    /// line of the title.
+    /// Shows a command that the user may give elsewhere, with its purpose; in the full-screen view the command alone, as the
+    /// first line of the title.
     pub fn advise(&mut self, purpose: &str, command: &str) {
         match self {
             Self::Lines(_) => output::note(format_args!("{purpose}: {command}")),
             Self::Screen(screen) => {
-                let first = screen.title.lines().next().unwrap_or_default();
-                screen.title = format!("{first}\n{command}");
+                screen.title = format!("{command}\n{}", screen.title);
             }
         }
     }
@@ -319,6 +318,25 @@ mod tests {
         let low = drawn_under(&title, (60, 15), &figures(5), &[]);
         assert!(!low.contains(command), "{low}");
         check(&low, &USERS);
+    }
+
+    #[test]
+    fn a_command_that_is_wider_than_the_window_is_complete_in_rows_that_a_shell_joins() {
+        let command = "heliostat controller --scenario hall --room demo --connect tcp/127.0.0.1:17447 --listen \
+                       tcp/127.0.0.1:17448 --policy fixed-point";
+        for size in [(80, 24), (60, 15)] {
+            let screen = drawn_under(&format!("{command}\nroom demo"), size, &figures(5), &[]);
+            let mut joined = String::new();
+            for row in screen.lines() {
+                let row = row.trim_matches('"').trim_start_matches("Heliostat  ").trim();
+                joined += row.trim_end_matches('\\');
+                if !row.ends_with('\\') {
+                    break;
+                }
+            }
+            assert_eq!(joined, command, "{screen}");
+            check(&screen, &["policy greedy", "q quits"]);
+        }
     }
 
     #[test]

@@ -56,6 +56,8 @@ struct Line {
 pub struct Screen {
     screen: FullScreen,
     title: String,
+    /// Commands that the user may give elsewhere, one in a line.
+    advice: String,
 }
 
 impl Display {
@@ -68,7 +70,11 @@ impl Display {
         if plain || !takes_escapes(&io::stdout()) || !io::stdin().is_terminal() {
             return Ok(Self::Lines(Lines::default()));
         }
-        Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))
+        Ok(Self::Screen(Box::new(Screen {
+            screen: FullScreen::open()?,
+            title: title.to_owned(),
+            advice: String::new(),
+        })))
     }
 
     /// Lines of the log: the stops and notes that begin or end, and the figures unless it is quiet.
@@ -85,12 +91,12 @@ impl Display {
     }
 
     /// Shows a command that the user may give elsewhere, with its purpose; in the full-screen view the command alone, as the
-    /// first line of the title.
+    /// first line of the title while the room has a problem.
     pub fn advise(&mut self, purpose: &str, command: &str) {
         match self {
             Self::Lines(_) => output::note(format_args!("{purpose}: {command}")),
             Self::Screen(screen) => {
-                screen.title = format!("{command}\n{}", screen.title);
+                screen.advice = format!("{command}\n{}", screen.advice);
             }
         }
     }
@@ -108,7 +114,8 @@ impl Display {
             }
             Self::Screen(screen) => {
                 let history: Vec<_> = view.history().into_iter().map(|(at, past)| (at, past.sum)).collect();
-                screen.screen.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
+                let title = title_after(&screen.advice, &screen.title, &figures);
+                screen.screen.draw(|frame| draw(frame, &title, (&figures, &stops), &history))?;
             }
         }
         Ok(())
@@ -124,6 +131,11 @@ impl Display {
             Self::Lines(_) => Ok(false),
         }
     }
+}
+
+/// A title, after the lines of an advice while the room has a problem.
+fn title_after(advice: &str, title: &str, figures: &Figures) -> String {
+    format!("{}{title}", if figures.notes.is_empty() { "" } else { advice })
 }
 
 impl Lines {
@@ -337,6 +349,9 @@ mod tests {
             assert_eq!(joined, command, "{screen}");
             check(&screen, &["policy greedy", "q quits"]);
         }
+        assert_eq!(title_after("a command\n", "room demo", &figures(1)), "a command\nroom demo");
+        let healthy = Figures { notes: Vec::new(), ..figures(1) };
+        assert_eq!(title_after("a command\n", "room demo", &healthy), "room demo", "the process runs again");
     }
 
     #[test]

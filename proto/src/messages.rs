@@ -228,7 +228,8 @@ impl NodeStatus {
     pub const STANDBY: &'static str = "standby";
     /// Name of the counter that is 1 in the last status of a controller that ends in order.
     pub const ENDING: &'static str = "ending";
-    /// Name of the counter that is 1 while a controller sees no other one, although one has gone that did not end in order.
+    /// Name of the counter that is 1 while a controller sees no other one, although one has gone that did not end in
+    /// order.
     pub const STANDBY_MISSING: &'static str = "standby_missing";
     /// Beginning of the names of a controller's counters of the events of its tenure.
     pub const TENURE: &'static str = "epoch:";

@@ -1,7 +1,8 @@
 //! The command line as arguments of a command, with advice where a scenario or a file is given without its flag, or a
 //! flag by the name that other programs use, and with the numbers that a flag takes where it refuses one.
 //!
-//! A command with `--json` that fails, is refused or is interrupted also prints `{"error": "…"}`, where it has printed no object.
+//! A command with `--json` that fails, is refused or is interrupted also prints `{"error": "…"}`, where it has printed
+//! no object.
 
 mod numbers;
 

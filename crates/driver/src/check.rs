@@ -28,6 +28,7 @@ use anyhow::{Context, Result, bail};
 use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, join_through};
 use heliostat_service::duration;
 
+use self::report::NOT_STOPPED_AGAIN;
 pub use self::report::{Finding, Report, Verdict};
 use self::room_in_use::expect_no_controller;
 use self::test_session::TestSession;
@@ -80,8 +81,11 @@ pub fn run(config: &BusConfig, array: usize, wait: Duration, show: &dyn Fn(Strin
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
     let findings = rules::judge(&mut session, show);
     // Also where a rule could not be tried.
-    let is_stopped = session.stop_again()?;
-    let findings = findings?;
+    let is_stopped = session.stop_again();
+    let findings = match is_stopped {
+        Some(false) => findings.context(NOT_STOPPED_AGAIN)?,
+        _ => findings?,
+    };
     let report = Report {
         room: room.to_string(),
         hardware: session.capabilities.hardware.clone(),

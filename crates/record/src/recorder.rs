@@ -80,7 +80,11 @@ impl fmt::Display for Outcome {
         if self.lacks.is_empty() {
             return Ok(());
         }
-        write!(formatter, "\nno replay can start from this recording: it lacks {}", self.lacks.join(" and "))
+        write!(
+            formatter,
+            "\na replay cannot repeat the decisions of this recording: it lacks {}",
+            self.lacks.join(" and ")
+        )
     }
 }
 

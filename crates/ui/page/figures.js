@@ -28,7 +28,7 @@ export function chips(now, ages, file) {
   const isSilent = ages.isStale("controller") || !now.controller_alive;
   const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
   const explained = [idle, networkIn(now.network, file)].filter(Boolean).join(" ");
-  chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "", explained);
+  chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "", explained || undefined);
   if (isSilent) {
     const isGone = !now.controller_alive && !ages.isStale("server");
     chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");

@@ -12,7 +12,6 @@ use heliostat_service::locks::lock;
 use serde::Serialize;
 
 use crate::View;
-use crate::scene::FrameBuilder;
 
 /// Points along the longer side of the room.
 const POINTS: usize = 40;
@@ -42,7 +41,6 @@ struct Kept {
 /// Computes the maps of a view.
 pub struct FloorMaps {
     view: Arc<View>,
-    frames: FrameBuilder,
     /// The last map with the mirrors, and the last one without.
     kept: Mutex<Kept>,
 }
@@ -62,7 +60,7 @@ impl View {
 impl FloorMaps {
     /// Maps of a view.
     pub fn new(view: Arc<View>) -> Self {
-        Self { frames: FrameBuilder::new(Arc::clone(&view)), view, kept: Mutex::default() }
+        Self { view, kept: Mutex::default() }
     }
 
     /// The current map; `None` if no report is recent.
@@ -86,7 +84,7 @@ impl FloorMaps {
 
     /// The hash of the geometry, and the map with its largest rate.
     fn compute(&self, with_mirrors: bool) -> (String, FloorMap) {
-        let now = self.frames.optical_state();
+        let now = self.view.optical_state();
         let (model, room, budget) = (&now.room.model, &now.room.scenario.room, self.view.budget(&now.room.model));
         let height_m = now.room.scenario.receiver.height_m;
         let longest = room.length_x_m.max(room.length_y_m);

@@ -208,11 +208,13 @@ impl FrameBuilder {
             blocked_areas_m: blocked_areas(&room, &blockers),
         }
     }
+}
 
-    /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
+impl View {
+    /// The number of users, all cylinders that block light, and the angles of the mirrors.
     pub(crate) fn optical_state(&self) -> OpticalState {
-        let room = self.view.shown_room();
-        let (users, obstacles, telemetry) = self.view.observed(&room);
+        let room = self.shown_room();
+        let (users, obstacles, telemetry) = self.observed(&room);
         let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
         let mirrors = room.model.mirrors.len();
         OpticalState {
@@ -222,9 +224,7 @@ impl FrameBuilder {
             room,
         }
     }
-}
 
-impl View {
     /// The sum rates at the reported angles by the channel model. `None` without users, where a process reports gains
     /// or the truth, and where an array reports no angles.
     pub(crate) fn modelled_sum(&self) -> Option<ModelledSum> {

@@ -94,23 +94,6 @@ fn reports_of_two_unconnected_simulators_are_not_mixed() {
 }
 
 #[test]
-fn the_demo_reports_a_killed_process() {
-    let demo = Process::heliostat(&["demo", "--seconds", "60", "--json", "--policy", "flat"]);
-    let part = |demo: &Process| {
-        let errors = demo.errors();
-        let rest = errors.split_once("controller is process ")?.1;
-        rest.split(|c: char| !c.is_ascii_digit()).next()?.parse::<u32>().ok()
-    };
-    wait_until("a live demo", || demo.errors().contains("sum rate"));
-    let controller = part(&demo).expect("the demo names its processes");
-    let killed = std::process::Command::new("kill").args(["-KILL", &controller.to_string()]).status();
-    assert!(killed.expect("there is a kill command").success());
-    let ended = demo.wait();
-    assert!(ended.refusal().contains("the controller process ended early"), "{}", ended.errors);
-    assert!(ended.errors.contains("signal: 9"), "{}", ended.errors);
-}
-
-#[test]
 fn a_full_standard_error_does_not_stop_the_demo() {
     let full = std::fs::File::options().write(true).open("/dev/full").expect("a device without space");
     let mut demo = std::process::Command::new(programs().join("heliostat"));

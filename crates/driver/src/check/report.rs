@@ -5,6 +5,10 @@ use std::fmt;
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
+/// What an operator has to know of an array that does not stop again.
+pub(super) const NOT_STOPPED_AGAIN: &str = "the array was stopped before the check, and does not report the stop at its \
+     end: expected the state stopped; end the driver before a controller starts";
+
 /// The result for one rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -54,6 +58,19 @@ impl Report {
     /// The rules that are broken.
     pub fn broken(&self) -> impl Iterator<Item = &Finding> {
         self.of(Verdict::Broken)
+    }
+
+    /// Why the check fails; `None` where it finds nothing wrong.
+    pub fn failure(&self) -> Option<String> {
+        if let Some(problem) = &self.problem {
+            return Some(format!("room \"{}\": {problem}", self.room));
+        }
+        let broken = self.broken().count();
+        if broken > 0 {
+            let rules = counted(broken, "rule");
+            return Some(format!("the driver of room \"{}\" breaks {rules} of the contract", self.room));
+        }
+        (self.is_stopped == Some(false)).then(|| NOT_STOPPED_AGAIN.to_owned())
     }
 
     /// The line of verdicts: the names of the rules that are broken, and of those that could not be judged.
@@ -106,11 +123,7 @@ impl fmt::Display for Report {
         match self.is_stopped {
             None => Ok(()),
             Some(true) => writeln!(f, "the array is stopped again, as before the check: heliostat rearm releases it"),
-            Some(false) => writeln!(
-                f,
-                "the array was stopped before the check, and does not report the stop at its end: expected the state \
-                 stopped; end the driver before a controller starts"
-            ),
+            Some(false) => writeln!(f, "{NOT_STOPPED_AGAIN}"),
         }
     }
 }
@@ -240,7 +253,9 @@ mod tests {
         for (is_stopped, words) in
             [(true, "is stopped again, as before the check"), (false, "does not report the stop")]
         {
-            let text = Report { is_stopped: Some(is_stopped), ..report(&[kept]) }.to_string();
+            let report = Report { is_stopped: Some(is_stopped), ..report(&[kept]) };
+            assert_eq!(report.failure().is_none(), is_stopped, "an array that moves again is a failure");
+            let text = report.to_string();
             assert!(text.lines().last().is_some_and(|last| last.contains(words)), "{text}");
         }
         let json = serde_json::to_value(report(&[("follow", not_judged)])).expect("texts and numbers");

@@ -203,13 +203,13 @@ impl TestSession {
     }
 
     /// Stops an array again that was stopped before the check; whether it then reports this, `None` for any other array.
-    pub fn stop_again(&self) -> Result<Option<bool>> {
-        if !self.was_stopped {
-            return Ok(None);
-        }
-        let from = self.count();
-        self.send_stop(StopAction::Stop, utc_ns())?;
-        Ok(Some(self.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped).is_some()))
+    pub fn stop_again(&self) -> Option<bool> {
+        let reports_stop = || {
+            let from = self.count();
+            self.send_stop(StopAction::Stop, utc_ns()).ok()?;
+            self.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped)
+        };
+        self.was_stopped.then(|| reports_stop().is_some())
     }
 
     /// Ends the session.

@@ -36,6 +36,8 @@ const NOTHING: &str =
 /// A stream that a replay needs.
 #[derive(Clone, Copy)]
 struct Needed {
+    /// Its key; of telemetry that of the first array.
+    key: fn(&Room) -> String,
     /// One message of it.
     message: &'static str,
     /// Its messages.
@@ -44,11 +46,11 @@ struct Needed {
     process: &'static str,
 }
 
-/// The streams that a replay needs, in the order of [`RoomWriter::lacking`].
+/// The streams that a replay needs to repeat the decisions.
 const NEEDED: [Needed; 3] = [
-    Needed { message: "command", stream: "commands", process: "controller" },
-    Needed { message: "position report", stream: "position reports", process: "tracker" },
-    Needed { message: "telemetry", stream: "telemetry", process: "driver" },
+    Needed { key: Room::command, message: "command", stream: "commands", process: "controller" },
+    Needed { key: Room::users, message: "position report", stream: "position reports", process: "tracker" },
+    Needed { key: Room::telemetry, message: "telemetry", stream: "telemetry", process: "driver" },
 ];
 
 const PRESENCE: Topic<'static> = Topic {
@@ -293,9 +295,8 @@ impl<S: Storage> RoomWriter<S> {
 
     /// The streams that a replay needs and that were not received.
     fn lacking(&self) -> Vec<Needed> {
-        let keys = [self.room.command(), self.room.users(), self.room.telemetry()];
-        let lacks = |(key, needed): (String, Needed)| (!self.account.streams.contains_key(&key)).then_some(needed);
-        keys.into_iter().zip(NEEDED).filter_map(lacks).collect()
+        let lacks = |needed: &Needed| !self.account.streams.contains_key(&(needed.key)(&self.room));
+        NEEDED.into_iter().filter(lacks).collect()
     }
 
     /// The streams that a replay needs and that were not received, and what to do.

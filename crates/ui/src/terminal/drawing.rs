@@ -16,8 +16,10 @@ const USER_BAR: u16 = 20;
 const SUM_BAR: u16 = 14;
 /// Width of times and counts in characters.
 const TIMES_WIDTH: u16 = 38;
-/// Most rows of the title.
-const TITLE_ROWS: usize = 2;
+/// Most lines of the title.
+const TITLE_LINES: usize = 2;
+/// The name of the program before the first row of the title.
+const PROGRAM: &str = "Heliostat  ";
 /// Most rows about emergency stops.
 const STOP_ROWS: usize = 5;
 /// Rows of the sum rates with their title.
@@ -47,7 +49,9 @@ pub(super) fn draw(
     let most = if height >= 24 { STOP_ROWS } else { 1 };
     let stops = stop_lines(stops, most);
     let stop_rows = stops.len() as u16;
-    let titles: Vec<&str> = title.lines().take(if height >= 24 { TITLE_ROWS } else { 1 }).collect();
+    let title_width = usize::from(width).saturating_sub(PROGRAM.len());
+    let titles = title.lines().take(if height >= 24 { TITLE_LINES } else { 1 });
+    let titles: Vec<String> = titles.flat_map(|line| rows_of(line, title_width)).collect();
     let title_rows = titles.len() as u16;
     let users =
         users.min(height.saturating_sub(2 + title_rows + stop_rows + problem_rows + counts.max(SUM_ROWS)).max(2));
@@ -66,6 +70,24 @@ pub(super) fn draw(
     }
     frame.render_widget(Paragraph::new(problems), areas[3]);
     frame.render_widget(legend(is_wide), areas[4]);
+}
+
+/// The rows of a line of the title. A command that is wider than the window goes on below, and a shell reads its rows as
+/// one line.
+fn rows_of(line: &str, width: usize) -> Vec<String> {
+    let mut flags = line.split(" --");
+    let mut rows = vec![flags.next().unwrap_or_default().to_owned()];
+    for flag in flags {
+        let last = rows.last_mut().expect("there is a first row");
+        if last.chars().count() + flag.chars().count() + " -- \\".len() <= width {
+            last.push_str(" --");
+            last.push_str(flag);
+        } else {
+            last.push_str(" \\");
+            rows.push(format!("--{flag}"));
+        }
+    }
+    rows
 }
 
 /// Notes about the room, then the last problem of each process, then what is no fault.
@@ -95,7 +117,7 @@ fn stop_lines(stops: &[String], most: usize) -> Vec<Line<'static>> {
     stops.iter().take(shown).cloned().chain(rest).map(|text| Line::from(text).fg(BAD).bold()).collect()
 }
 
-fn heading(titles: &[&str], figures: &Figures, stops: Vec<Line<'static>>) -> Paragraph<'static> {
+fn heading(titles: &[String], figures: &Figures, stops: Vec<Line<'static>>) -> Paragraph<'static> {
     let state = figures.array.state.as_str();
     let is_normal = matches!(state, "following" | "holding");
     let unusable = match figures.array.unusable {
@@ -108,9 +130,9 @@ fn heading(titles: &[&str], figures: &Figures, stops: Vec<Line<'static>>) -> Par
         (false, true) => "  controller not seen",
         (false, false) => "  no controller",
     };
-    let line = |(index, text): (usize, &&str)| {
-        let program = if index == 0 { "Heliostat  " } else { "           " };
-        Line::from(vec![Span::from(program).bold(), Span::from((*text).to_owned()).dim()])
+    let line = |(index, text): (usize, &String)| {
+        let (program, width) = (if index == 0 { PROGRAM } else { "" }, PROGRAM.len());
+        Line::from(vec![Span::from(format!("{program:width$}")).bold(), Span::from(text.clone()).dim()])
     };
     let state = Line::from(vec![
         Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),

@@ -31,6 +31,22 @@ fn a_button_for_blocked_paths_names_the_users_whose_paths_it_blocks() {
 
 #[needs("browser")]
 #[test]
+fn a_state_that_a_narrow_window_cuts_off_has_its_text_or_more_as_its_tooltip() {
+    let (_setting, browser) = Setting::shown();
+    // In one script, before the next figures.
+    let script = "return import('/figures.js').then(({ chips }) => { \
+           const now = { in_charge: { name: 'greedy', idle: '' }, policy: 'greedy', network: '', controller_alive: true, \
+             nodes: [], controllers: [], origin: 'measured', array: { state: 'following', unusable: 0 } }; \
+           const fresh = { isStale: () => false, of: () => 0 }; \
+           const titles = (more) => { chips({ ...now, ...more }, fresh, null); \
+             return ['policy', 'array', 'controller', 'room'].map((part) => document.getElementById(`chip-${part}`).title); }; \
+           return [...titles({}), titles({ in_charge: { name: 'stopped', idle: 'A stop is in force.' } })[0]]; })";
+    let expected = ["greedy", "following", "alive", "real", "A stop is in force."];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_legend_has_obstacles_and_the_sum_rates_say_what_their_shares_are_of() {
     let (_setting, browser) = Setting::shown();
     let colours = "return import('/geometry.js').then(({ palette }) => { \

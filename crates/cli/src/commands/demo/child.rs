@@ -95,7 +95,8 @@ impl ChildProcess {
         self.readers.drain(..).for_each(|reader| {
             reader.join().ok();
         });
-        if !status.success() {
+        // An end in order is early too where this process did not request it.
+        if !status.success() || self.is_end_reported {
             bail!(self.end_report(status));
         }
         let line = self.answer.lock().expect("no reader panics").take();

@@ -64,7 +64,7 @@ fn the_last_line_of_a_recording_names_the_streams_that_a_replay_lacks() {
     };
     assert_eq!(
         last_line(&[room.command()]),
-        "no replay can start from this recording: it lacks position reports and telemetry"
+        "a replay cannot repeat the decisions of this recording: it lacks position reports and telemetry"
     );
     let complete = last_line(&[room.users(), room.command(), room.telemetry()]);
     assert!(complete.starts_with("heliostat/v1/alone/users"), "{complete}");

@@ -191,8 +191,8 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints the conditions, ratio and minimum rates met of every policy, then their sum rates, in closed loop the time in outage,
-/// the paired differences, and in closed loop the quality of the beliefs: one line for each point.
+/// Prints the conditions, ratio and minimum rates met of every policy, then their sum rates, in closed loop the time in
+/// outage, the paired differences, and in closed loop the quality of the beliefs: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     print_conditions(reports)?;

@@ -26,7 +26,8 @@ fn wait_until(child: &mut Child, state: impl Fn(u32) -> bool) {
     }
 }
 
-/// The output of an evaluation that writes this file with these flags, and is interrupted; also as a part of another command.
+/// The output of an evaluation that writes this file with these flags, and is interrupted; also as a part of another
+/// command.
 fn interrupted(csv: &Path, flags: &[&str], is_part: bool) -> Output {
     signals::restore_in_children();
     let mut eval = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));

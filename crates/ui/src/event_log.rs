@@ -7,7 +7,7 @@ use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
-use crate::causes::{NO_REPORT, NoteLines, follows_from_stop, without_figures};
+use crate::causes::{FAULTS, NO_REPORT, NoteLines, follows_from_stop, without_figures};
 use crate::controllers::{ControllerFigures, Role};
 use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
@@ -136,7 +136,9 @@ impl EventLog {
             }
         }
         self.controllers.clone_from(&figures.controllers);
-        let (begun, ended) = self.notes.next(at_ms, &figures.notes);
+        // The faults have the line of their change, which the silence of an array does not end.
+        let notes: Vec<String> = figures.notes.iter().filter(|note| !note.starts_with(FAULTS)).cloned().collect();
+        let (begun, ended) = self.notes.next(at_ms, &notes);
         begun.into_iter().for_each(|note| self.push(at_ms, note, true));
         ended.into_iter().for_each(|line| self.push(at_ms, line, false));
         // Oldest first.

@@ -19,6 +19,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
+use crate::array_faults::faults_note;
 use crate::causes::{AND, NO_REPORT, folded, follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
@@ -190,7 +191,7 @@ pub struct Figures {
 impl View {
     /// The current figures.
     pub fn figures(&self) -> Figures {
-        let (room, Findings { notes, remarks }) = (self.shown_room(), self.findings());
+        let (room, Findings { mut notes, remarks }) = (self.shown_room(), self.findings());
         let is_stopped = self.stops.room().is_held();
         let modelled = self.modelled_sum();
         let (geometry, model) = (room.id.clone(), &room.model);
@@ -200,6 +201,8 @@ impl View {
             received.arrays.silent(model.mirrors.arrays().len()).into_iter().map(array_name).collect();
         let (origin, tick, users) = users(model, &received);
         let unusable = unusable_mirrors(&received, &room).len();
+        let array = array(model, unusable, silent, telemetry.as_ref());
+        notes.extend(faults_note(&array.faults, is_stopped));
         let controller = received.fresh_status(NodeKind::Controller.name());
         let room = received.fresh_status(NodeKind::SimNode.name());
         // Counters and times count since the start of their process. They stay when it is silent, and the
@@ -219,7 +222,7 @@ impl View {
             in_charge: received.in_charge(),
             sum_mbps: sum(&received, &users, modelled),
             users,
-            array: array(model, unusable, silent, telemetry.as_ref()),
+            array,
             controllers: received.present_controllers(),
             nodes: received
                 .statuses

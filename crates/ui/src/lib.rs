@@ -5,7 +5,7 @@
 //! neither the controller nor the simulator.
 //!
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
-//! - `array_reports`: the telemetry of all arrays as that of one.
+//! - `array_reports`: the telemetry of all arrays as that of one; `array_faults`: what ends the faults that they report.
 //! - `shown_room`: the room that is drawn: announced, given, or the default.
 //! - [`in_charge`]: what the mirrors follow, and why it is not the policy.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
@@ -22,6 +22,7 @@
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines; [`status`]: once, with what is wrong.
 
+mod array_faults;
 mod array_reports;
 mod assets;
 pub mod belief;

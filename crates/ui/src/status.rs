@@ -125,7 +125,7 @@ impl RoomStatus {
             let again = if controllers.iter().any(|one| one.decisions > 0) { AGAIN } else { "" };
             format!("{NO_REPORTS}: start the tracker or the simulator{again}, or connect to its endpoint or router too")
         });
-        let found = reports.into_iter().chain(leads).chain(self.array_problems());
+        let found = reports.into_iter().chain(leads).chain(self.array_problem());
         let of_nodes = nodes.iter().filter_map(of_node);
         // The cause before what follows from it.
         let (causes, notes) = causes_and_others(self.notes().cloned());
@@ -225,6 +225,7 @@ fn users_line(users: &[UserFigures]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use crate::array_faults::faults_note;
     use crate::causes::OTHERS_MISSING;
     use crate::figures::{ArrayFigures, SumFigures};
     use crate::notes::room_unseen;
@@ -255,8 +256,9 @@ mod tests {
         let json = serde_json::to_value(&absent).expect("numbers, texts and lists");
         assert_eq!(json["figures"]["controllers"][0]["role"], "unheard");
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
-        let parked = Figures { array: parked, ..figures(vec![controller(Role::Leads)]) };
-        assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);
+        let link = faults_note(&parked.faults, false).expect("a note");
+        let parked = Figures { array: parked, notes: vec![link.clone()], ..figures(vec![controller(Role::Leads)]) };
+        assert_eq!(found(parked), ["the array does not follow: parked", link.as_str()]);
         // A simulator whose true state arrives, and no position report.
         let silent = Figures { origin: Origin::Simulated, ..figures(vec![controller(Role::Leads)]) };
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();

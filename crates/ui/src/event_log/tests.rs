@@ -200,7 +200,10 @@ fn a_problem_is_not_over_because_its_process_has_left() {
     let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
     let mut now = figures("following", "two sources");
     now.array.faults = vec!["link"];
+    now.notes = vec![format!("{FAULTS}: link")];
     log.note_at(1, &now, &[], &no_stop);
+    assert_eq!(texts(&log).iter().filter(|(_, text, _)| text.contains("link")).count(), 1, "{:?}", texts(&log));
+    now.notes.clear();
     now.array = ArrayFigures { state: "no report".into(), silent: vec!["mirrors".into()], ..Default::default() };
     now.nodes[0] = NodeFigures { state: GONE.into(), problem: String::new(), ..now.nodes[0].clone() };
     log.note_at(2, &now, &[], &no_stop);

@@ -4,7 +4,7 @@ use heliostat_proto::ArrayState;
 use heliostat_proto::messages::fault;
 
 use super::RoomStatus;
-use crate::causes::{FAULTS, NOT_FOLLOWING};
+use crate::causes::NOT_FOLLOWING;
 use crate::stop_state::StopFigure;
 use crate::stop_watch::RoomStops;
 
@@ -19,16 +19,11 @@ impl RoomStatus {
         !self.stops.is_empty() && self.figures.array.state == ArrayState::Stopped.name()
     }
 
-    /// What is wrong with the arrays. A stop is one problem: state and fault of the array follow from it.
-    pub(super) fn array_problems(&self) -> impl Iterator<Item = String> {
+    /// That the arrays do not follow. A stop is one problem: the state of the array follows from it.
+    pub(super) fn array_problem(&self) -> Option<String> {
         let array = &self.figures.array;
         let is_following = array.state == ArrayState::Following.name();
-        let state = (!is_following && !self.is_stopped()).then(|| format!("{NOT_FOLLOWING}: {}", array.state));
-        let of_stop = if self.stops.is_empty() { Vec::new() } else { fault::names(fault::STOP) };
-        let faults = array.faults.iter().copied().filter(|fault| !of_stop.contains(fault));
-        let faults: Vec<String> = faults.map(with_advice).collect();
-        let faults = (!faults.is_empty()).then(|| format!("{FAULTS}: {}", faults.join(", ")));
-        state.into_iter().chain(faults)
+        (!is_following && !self.is_stopped()).then(|| format!("{NOT_FOLLOWING}: {}", array.state))
     }
 
     /// The state of the array. A latched stop is not yet a stopped device.
@@ -64,19 +59,6 @@ pub(super) fn in_force(room: &RoomStops) -> Vec<String> {
     StopFigure::of(room).into_iter().map(named).collect()
 }
 
-/// A fault of an array by its name. What ends it is added where that is no repair of the device.
-fn with_advice(name: &str) -> String {
-    let is = |bit| fault::names(bit).contains(&name);
-    let advice = if is(fault::CALIBRATION) {
-        "a calibration was refused, and the one in use is unchanged: heliostat calibrate apply FILE ends the fault"
-    } else if is(fault::CLOCK) {
-        "a command came from the future: synchronise the clocks of controller and driver"
-    } else {
-        return name.to_owned();
-    };
-    format!("{name} ({advice})")
-}
-
 #[cfg(test)]
 mod tests {
     use std::time::Duration;
@@ -84,6 +66,7 @@ mod tests {
     use heliostat_proto::StopName;
     use heliostat_proto::reported_stops::{RoomStop, Standing};
 
+    use crate::array_faults::faults_note;
     use crate::controllers::{ControllerFigures, Role};
     use crate::figures::{ArrayFigures, Figures, NodeFigures};
     use crate::terminal::texts::stops;
@@ -93,15 +76,17 @@ mod tests {
     #[test]
     fn a_stop_is_one_problem() {
         let array = |faults| ArrayFigures { state: "stopped".into(), faults, ..ArrayFigures::default() };
-        let found = |stops: &[&str], faults| {
-            let figures =
-                Figures { controllers: vec![ControllerFigures::default()], array: array(faults), ..Figures::default() };
+        let found = |stops: &[&str], faults: Vec<&'static str>| {
+            let notes = faults_note(&faults, !stops.is_empty()).into_iter().collect();
+            let (controllers, array) = (vec![ControllerFigures::default()], array(faults));
+            let figures = Figures { controllers, array, notes, ..Figures::default() };
             let stops = stops.iter().map(|stop| (*stop).to_owned()).collect();
             RoomStatus { reports_per_s: 20.0, stops, figures, ..RoomStatus::default() }.found()
         };
         let stop = "no array has stopped: stop 7:1 (smoke)";
         assert_eq!(found(&[stop], vec!["stop"]), [stop]);
-        assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
+        let of_mirror = faults_note(&["mirror"], true).expect("a note");
+        assert_eq!(found(&[stop], vec!["mirror", "stop"]), [stop, of_mirror.as_str()]);
         assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
     }
 
@@ -121,20 +106,12 @@ mod tests {
     #[test]
     fn a_lost_device_is_one_problem_of_its_array() {
         let array = ArrayFigures { state: "fault".into(), faults: vec!["link", "mirror"], ..ArrayFigures::default() };
-        let figures = Figures { controllers: vec![ControllerFigures::default()], array, ..Figures::default() };
+        let note = faults_note(&array.faults, false).expect("a note");
+        let line = format!("{note}; it causes: the array does not follow");
+        let controllers = vec![ControllerFigures::default()];
+        let figures = Figures { controllers, array, notes: vec![note], ..Figures::default() };
         let found = RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
-        assert_eq!(found, ["faults of the array: link, mirror; it causes: the array does not follow"]);
-    }
-
-    #[test]
-    fn a_refused_calibration_and_a_wrong_clock_are_named_with_what_ends_them() {
-        for (fault, expected) in [("calibration", "calibrate apply FILE"), ("clock", "synchronise the clocks")] {
-            let array = ArrayFigures { state: "following".into(), faults: vec![fault], ..ArrayFigures::default() };
-            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
-            let problems: Vec<String> = status.array_problems().collect();
-            assert!(problems[0].starts_with(&format!("faults of the array: {fault} (")), "{problems:?}");
-            assert!(problems.len() == 1 && problems[0].contains(expected), "{problems:?}");
-        }
+        assert_eq!(found, [line]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_proto::messages::fault;
 use heliostat_proto::{Capabilities, Message, MirrorTelemetry, Room, Stamp, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_ui::View;
@@ -39,6 +40,25 @@ fn telemetry_that_is_old_at_each_arrival_is_noted_of_every_array() {
             capabilities.put(&encoded(&Capabilities { stamp, ..Capabilities::default() })).unwrap();
             telemetry.put(&encoded(&MirrorTelemetry { stamp, ..MirrorTelemetry::default() })).unwrap();
         }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn a_fault_of_an_array_is_a_note_with_what_ends_it() {
+    let (endpoint, config) = (private_endpoint().unwrap(), BusConfig::new(Room::new("faults").unwrap()));
+    let room = Bus::open(&config.clone().listen_at(&endpoint)).unwrap();
+    let bus = Bus::open(&config.connect_to(&endpoint)).unwrap();
+    let view = View::open(&bus, None).unwrap();
+    let telemetry = room.publisher(&room.room().array(0).telemetry(), Class::HighDrop).unwrap();
+    let is_noted = || view.figures().notes.iter().any(|note| note.starts_with("faults of the array: mirror (mirrors "));
+    let (begun, mut sequence) = (Instant::now(), 0);
+    while !is_noted() {
+        assert!(begun.elapsed() < TIME_LIMIT, "{:?}", view.figures().notes);
+        sequence += 1;
+        let stamp = Stamp { source: 7, sequence, time_ns: utc_ns() };
+        let report = MirrorTelemetry { stamp, faults: fault::MIRROR, ..MirrorTelemetry::default() };
+        telemetry.put(&encoded(&report)).unwrap();
         std::thread::sleep(Duration::from_millis(20));
     }
 }

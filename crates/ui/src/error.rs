@@ -82,7 +82,7 @@ pub enum UiError {
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
-    #[error("no emergency stop is in force: expected a stopped array; nothing was sent")]
+    #[error("no stop is in force; nothing to release")]
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(
@@ -124,6 +124,12 @@ mod tests {
     fn an_order_that_nothing_receives_advises_to_check_the_room_before_a_start() {
         let text = UiError::NoReceiver("array").to_string();
         assert!(text.ends_with("check --room and --connect, or start one"), "{text}");
+    }
+
+    #[test]
+    fn a_refused_rearm_has_no_colon_of_its_own_behind_those_of_its_order() {
+        // The page puts the order and `refused` before it, each with a colon.
+        assert_eq!(UiError::NotStopped.to_string(), "no stop is in force; nothing to release");
     }
 
     #[test]

@@ -122,7 +122,7 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 #[test]
 fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     let (_setting, browser) = Setting::shown();
-    // Figures and a frame of different instants.
+    // Figures, a share of the oracle's rate, and a frame of different instants: a rate is of the instant of its share.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
              users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, min_rate_mbps: 1 }] }; \
@@ -135,7 +135,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     let expected = serde_json::json!([
         [["blocked", "0.00", "below 1.0"]],
         "Without the mirrors, 1 of 1 users is below the minimum rate: user 3.",
-        [["clear", "5.00 75 %", "1.0"]],
+        [["clear", "4.50 75 %", "1.0"]],
         0,
         2
     ]);

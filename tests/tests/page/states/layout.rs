@@ -124,6 +124,25 @@ fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
 
 #[needs("browser")]
 #[test]
+fn the_column_of_figures_scrolls_to_the_decision_times_behind_the_open_log_of_events() {
+    let (_setting, browser) = Setting::shown();
+    for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
+        browser.resize(width, height);
+        // In one script, before the next figures.
+        let seen = "const at = (id) => document.getElementById(id); const column = at('rates').parentElement; \
+             at('events').open = true; \
+             column.scrollTop = column.scrollHeight; \
+             const [chart, table, list] = ['latency-chart', 'quantiles', 'event-list'].map((id) => at(id).getBoundingClientRect()); \
+             const found = [chart.top >= column.getBoundingClientRect().top, table.bottom <= list.top, list.bottom <= innerHeight]; \
+             at('events').open = false; \
+             column.scrollTop = 0; \
+             return found";
+        assert_eq!(browser.run(seen), json!([true, true, true]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
 fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figures_is_scrolled() {
     let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {

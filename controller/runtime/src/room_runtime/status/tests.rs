@@ -37,6 +37,7 @@ fn a_notice_is_in_the_status_until_its_end() {
         reporter.present_problem(1)
     };
     assert_eq!(shown(Problem::Notice("this one stands by".into())), "this one stands by");
+    assert_eq!(shown(Problem::Event("this controller takes over".into())), "");
     assert_eq!(shown(Problem::End("this controller leads".into())), "");
 }
 

@@ -104,7 +104,11 @@ impl RoomPart {
             share(self.qos_met),
             share(self.qos_met_oracle)
         )?;
-        outln!("blocked users: {:.2} on average", self.blocked_users_mean)
+        match self.sum_rate_mbps {
+            // No instant was computed.
+            None => outln!("blocked users: -"),
+            Some(_) => outln!("blocked users: {:.2} on average", self.blocked_users_mean),
+        }
     }
 }
 
@@ -143,7 +147,9 @@ impl ControllerPart {
         )?;
         for (name, PolicySummary { tally, decision_us: times }) in &self.policies {
             let Tally { decisions, commands, fallbacks, .. } = tally;
-            outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{:>10.0}{:>10.0}", times.p50, times.p99)?;
+            let Quantiles { count, p50, p99, .. } = times;
+            let times = if *count == 0 { format!("{0:>10}{0:>10}", "-") } else { format!("{p50:>10.0}{p99:>10.0}") };
+            outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{times}")?;
         }
         Ok(())
     }

@@ -82,7 +82,7 @@ pub enum UiError {
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
-    #[error("no emergency stop is in force: expected a stopped array; nothing was sent")]
+    #[error("no emergency stop is in force; nothing to release")]
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(
@@ -124,6 +124,11 @@ mod tests {
     fn an_order_that_nothing_receives_advises_to_check_the_room_before_a_start() {
         let text = UiError::NoReceiver("array").to_string();
         assert!(text.ends_with("check --room and --connect, or start one"), "{text}");
+    }
+
+    #[test]
+    fn a_release_without_a_stop_is_refused_in_one_clause() {
+        assert_eq!(UiError::NotStopped.to_string(), "no emergency stop is in force; nothing to release");
     }
 
     #[test]

@@ -389,7 +389,7 @@ impl Reporter {
         }
         let problem = match self.stops.as_str() {
             "" => Problem::End("no stop withholds commands any longer".into()),
-            stops => Problem::Warning(stops.to_owned()),
+            stops => Problem::Warning(format!("commands are {stops}")),
         };
         Some((Subject::Stops, problem))
     }

@@ -30,6 +30,15 @@ fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
 }
 
 #[test]
+fn the_log_of_a_stop_names_what_it_withholds() {
+    let stops = "withheld by the stop of ann".to_owned();
+    let reporter = Reporter { stops, ..Reporter::new(Identity::default()) };
+    let Some((Subject::Stops, problem)) = reporter.new_stops("") else { panic!("a stop") };
+    assert_eq!(problem.text(), "commands are withheld by the stop of ann");
+    assert_eq!(reporter.present_problem(1), "withheld by the stop of ann", "as the state of the status");
+}
+
+#[test]
 fn a_notice_is_in_the_status_until_its_end() {
     let mut reporter = Reporter::new(Identity::default());
     let mut shown = |problem| {

@@ -300,15 +300,15 @@ impl RoomRuntime {
     /// Logs a change of state, or a problem that occurred so often unless one like it was logged just
     /// before.
     fn log(&mut self, problem: &Problem, occurrences: u64) {
-        let (Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text) | Problem::End(text)) = problem;
+        let text = problem.text();
         let line = match occurrences {
-            0 => Some(text.clone()),
+            0 => Some(text.to_owned()),
             _ => self.log_limit.line(Instant::now(), text, occurrences),
         };
         let Some(line) = line else { return };
         match problem {
             Problem::Alarm(_) => tracing::error!(room = %self.bus.room(), "{line}"),
-            Problem::Warning(_) => tracing::warn!(room = %self.bus.room(), "{line}"),
+            Problem::Warning(_) | Problem::Event(_) => tracing::warn!(room = %self.bus.room(), "{line}"),
             Problem::Notice(_) | Problem::End(_) => tracing::info!(room = %self.bus.room(), "{line}"),
         }
     }

@@ -146,11 +146,16 @@ pub struct StopLog {
 impl StopLog {
     /// Logs the order of a new stop, or the release of the last one.
     pub fn change(&mut self, room: &str, latch: &Latch) {
-        let line = match latch.stop() {
-            None => self.released.line(Instant::now(), "the array is released", "the array is released again"),
-            Some(stop) => self.ordered.line(Instant::now(), in_words(stop), "further stops are ordered"),
-        };
-        line.into_iter().for_each(|line| tracing::warn!(room, "{line}"));
+        match latch.stop() {
+            None => {
+                let line = self.released.line(Instant::now(), "the array is released", "the array is released again");
+                line.into_iter().for_each(|line| tracing::info!(room, "{line}"));
+            }
+            Some(stop) => {
+                let line = self.ordered.line(Instant::now(), in_words(stop), "further stops are ordered");
+                line.into_iter().for_each(|line| tracing::warn!(room, "{line}"));
+            }
+        }
     }
 
     /// Logs that the device has executed each stop.

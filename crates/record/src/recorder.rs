@@ -19,7 +19,8 @@ use heliostat_files::write_advice;
 use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
-use heliostat_service::whole_file::EXPECTED_NEW;
+use heliostat_service::exit::UnusableInput;
+use heliostat_service::whole_file::expected_new;
 use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, source_id};
 use serde::Serialize;
 
@@ -185,10 +186,11 @@ fn metrics(room: &str, messages: u64, dropped: u64) -> Page {
     page
 }
 
-/// The error of a file that cannot be created, with its name and what to do.
+/// The error of a file that cannot be created, with its name and what to do: the user named one that cannot be used.
 fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
-    let advice = write_advice(&error, EXPECTED_NEW);
-    anyhow::Error::new(error).context(format!("cannot create {}: {advice}", out.display()))
+    let advice = write_advice(&error, expected_new(&error));
+    let named = UnusableInput::new(format!("cannot create {}: {advice}", out.display()));
+    anyhow::Error::new(error).context(named)
 }
 
 /// Begins the next file of a ring if that is due, and keeps those around a fault.
@@ -230,8 +232,13 @@ mod tests {
             }
             assert_eq!(path.exists(), is_kept);
         }
-        let message = |kind: io::ErrorKind| cannot_create(Path::new("room.mcap"), kind.into()).to_string();
-        assert!(message(io::ErrorKind::AlreadyExists).contains("room.mcap: expected a file that does not exist yet"));
+        let message = |kind: io::ErrorKind| {
+            let error = cannot_create(Path::new("room.mcap"), kind.into());
+            assert!(error.is::<UnusableInput>(), "{error}");
+            error.to_string()
+        };
+        assert!(message(io::ErrorKind::AlreadyExists).ends_with("room.mcap: expected a file that does not exist yet"));
+        assert!(message(io::ErrorKind::NotFound).ends_with("room.mcap: expected a file in a folder that exists"));
         assert_eq!(
             message(io::ErrorKind::StorageFull),
             "cannot create room.mcap: free some space, or choose another disk"

@@ -19,8 +19,13 @@ const NO_LOCKS: [i32; 2] = if cfg!(target_os = "linux") { [37, 95] } else { [77,
 /// What a file to write has to be.
 const EXPECTED: &str = "expected a file in a folder that exists";
 
-/// What a file to create has to be.
-pub const EXPECTED_NEW: &str = "expected a file that does not exist yet, in a folder that exists";
+/// What a file to create has to be, by the error of its creation.
+pub fn expected_new(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::AlreadyExists => "expected a file that does not exist yet",
+        _ => EXPECTED,
+    }
+}
 
 /// Attempts to hold a file whose holders end meanwhile; bounded, because some file systems change the numbers of files.
 const HOLD_TRIES: usize = 100;
@@ -133,7 +138,10 @@ pub fn write_new_secret(file: &Path, contents: &[u8]) -> Result<()> {
 
 /// Writes a new file that these options open.
 fn write_opened(file: &Path, options: &OpenOptions, contents: &[u8]) -> Result<()> {
-    let refused = |error| unwritable(file, error, EXPECTED_NEW);
+    let refused = |error: io::Error| {
+        let expected = expected_new(&error);
+        unwritable(file, error, expected)
+    };
     let mut begun = options.open(file).map_err(refused)?;
     // Some file systems report only then that they are full.
     let written = begun.write_all(contents).and_then(|()| begun.sync_all());
@@ -292,13 +300,15 @@ mod tests {
         let file = folder.path().join("room.toml");
         write_new(&file, b"first").expect("written");
         let refusal = write_new(&file, b"second").expect_err("a file").to_string();
-        assert!(refusal.ends_with("room.toml: expected a file that does not exist yet, in a folder that exists"));
+        assert!(refusal.ends_with("room.toml: expected a file that does not exist yet"), "{refusal}");
+        let elsewhere = write_new(&folder.path().join("no/room.toml"), b"first").expect_err("no folder").to_string();
+        assert!(elsewhere.ends_with("room.toml: expected a file in a folder that exists"), "{elsewhere}");
         assert_eq!(fs::read_to_string(&file).expect("the file"), "first");
         complete(&file, Ok(())).expect("complete");
         assert!(file.exists());
         let full = complete(&file, Err(io::ErrorKind::StorageFull.into())).expect_err("full");
         assert!(!file.exists());
-        let refusal = unwritable(&file, full, EXPECTED_NEW).to_string();
+        let refusal = unwritable(&file, full, EXPECTED).to_string();
         assert!(refusal.ends_with("room.toml: free some space, or choose another disk"), "{refusal}");
     }
 

@@ -82,7 +82,7 @@ pub enum UiError {
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
-    #[error("no stop is in force; nothing to release")]
+    #[error("no emergency stop is in force; nothing to release")]
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(
@@ -127,9 +127,8 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_rearm_has_no_colon_of_its_own_behind_those_of_its_order() {
-        // The page puts the order and `refused` before it, each with a colon.
-        assert_eq!(UiError::NotStopped.to_string(), "no stop is in force; nothing to release");
+    fn a_release_without_a_stop_is_refused_in_one_clause() {
+        assert_eq!(UiError::NotStopped.to_string(), "no emergency stop is in force; nothing to release");
     }
 
     #[test]

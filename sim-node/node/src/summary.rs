@@ -135,7 +135,16 @@ impl fmt::Display for Summary {
         )?;
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
         let us = &self.loop_us;
-        writeln!(f, "loop, us        p50 {:.0}  p90 {:.0}  p99 {:.0}  max {:.0}", us.p50, us.p90, us.p99, us.max)?;
+        match us.count {
+            0 => writeln!(f, "loop, us        -")?,
+            _ => {
+                writeln!(
+                    f,
+                    "loop, us        p50 {:.0}  p90 {:.0}  p99 {:.0}  max {:.0}",
+                    us.p50, us.p90, us.p99, us.max
+                )?;
+            }
+        }
         match &self.sum_rate_mbps {
             None => writeln!(f, "sum rate        unknown: no command was accepted")?,
             Some(rates) => writeln!(
@@ -146,7 +155,10 @@ impl fmt::Display for Summary {
         }
         writeln!(f, "ratio to oracle {}", share(self.ratio_to_oracle))?;
         writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
-        writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
+        match self.truth_samples {
+            0 => writeln!(f, "blocked users   -")?,
+            _ => writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?,
+        }
         if let Some(Turnover { entered, left, turned_away }) = self.turnover {
             writeln!(f, "users           {entered} entered, {left} left, {turned_away} found the room full")?;
         }
@@ -168,5 +180,21 @@ impl fmt::Display for Summary {
             writeln!(f, "last problem    {}", printable(&self.last_problem))?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_counted_is_a_dash() {
+        let text = Summary::default().to_string();
+        for line in ["loop, us        -", "ratio to oracle -", "blocked users   -"] {
+            assert!(text.lines().any(|found| found == line), "{text}");
+        }
+        let loop_us = Quantiles { count: 1, p50: 3.0, ..Quantiles::default() };
+        let text = Summary { loop_us, truth_samples: 1, blocked_users_mean: 2.0, ..Summary::default() }.to_string();
+        assert!(text.contains("loop, us        p50 3") && text.contains("blocked users   2.00 on average"), "{text}");
     }
 }

@@ -131,7 +131,7 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     let stopped = room.order("stop", &["--operator", "ann", "--reason", "person on the ladder"]);
     let refusal = stopped.refusal();
     assert!(
-        refusal.contains("array 1 does not answer: cut its power. The stop was sent, and stays in force"),
+        refusal.contains("array 1 does not answer: cut its power\nThe stop was sent, and stays in force"),
         "{refusal}"
     );
     assert!(!refusal.contains("array 0"), "{refusal}");

@@ -415,6 +415,17 @@ mod tests {
     }
 
     #[test]
+    fn the_table_has_no_figure_of_what_was_not_counted() {
+        let policies = BTreeMap::from([("nearest".to_owned(), PolicySummary::default())]);
+        let rooms = BTreeMap::from([("a".to_owned(), Summary::default())]);
+        let belief = Some(BeliefSummary { reports: 0, innovation_mean: 0.0, noise: None });
+        let text = Summary { policies, rooms, belief, ..Summary::default() }.to_string();
+        let row = text.lines().find(|line| line.starts_with("nearest")).expect("a row of the policy");
+        assert!(row.split_whitespace().rev().take(2).eq(["-", "-"]), "{text}");
+        assert!(text.ends_with("\nroom a: decisions 0") && !text.contains("innovation"), "{text}");
+    }
+
+    #[test]
     fn one_unfit_array_of_two_leaves_the_other_one_commanded() {
         let two = "[users]\ncount = 3\n[[mirrors]]\nrows = 2\ncolumns = 2\n[[mirrors]]\nrows = 2\ncolumns = 3\nwall = \"-x\"\n";
         let scenario = Scenario::from_toml(two).expect("a valid scenario");

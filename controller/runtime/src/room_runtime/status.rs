@@ -117,17 +117,27 @@ pub enum Problem {
     Warning(String),
     /// What lasts and is expected: the status has it, and the log has it as information.
     Notice(String),
+    /// What has happened and is over: the log has it as a warning, and the status has no problem.
+    Event(String),
     /// The end of a lasting one, or information.
     End(String),
 }
 
 impl Problem {
+    /// Its text.
+    pub fn text(&self) -> &str {
+        match self {
+            Self::Alarm(text) | Self::Warning(text) | Self::Notice(text) | Self::Event(text) | Self::End(text) => text,
+        }
+    }
+
     /// The same with another text.
     fn map(self, change: impl FnOnce(String) -> String) -> Self {
         match self {
             Self::Alarm(text) => Self::Alarm(change(text)),
             Self::Warning(text) => Self::Warning(change(text)),
             Self::Notice(text) => Self::Notice(change(text)),
+            Self::Event(text) => Self::Event(change(text)),
             Self::End(text) => Self::End(change(text)),
         }
     }
@@ -233,8 +243,10 @@ impl Reporter {
             Some((subject, Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text))) => {
                 self.newest = (subject.clone(), text.clone());
             }
-            Some((subject, Problem::End(_))) if *subject == self.newest.0 => self.newest = Default::default(),
-            Some((_, Problem::End(_))) | None => {}
+            Some((subject, Problem::Event(_) | Problem::End(_))) if *subject == self.newest.0 => {
+                self.newest = Default::default();
+            }
+            Some((_, Problem::Event(_) | Problem::End(_))) | None => {}
         }
     }
 
@@ -377,7 +389,7 @@ impl Reporter {
         }
         let problem = match self.stops.as_str() {
             "" => Problem::End("no stop withholds commands any longer".into()),
-            stops => Problem::Warning(stops.to_owned()),
+            stops => Problem::Warning(format!("commands are {stops}")),
         };
         Some((Subject::Stops, problem))
     }

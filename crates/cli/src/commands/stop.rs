@@ -15,7 +15,7 @@ use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_i
 use serde_json::json;
 
 use super::join::Unconnected;
-use order::{Order, Purpose};
+use order::{Order, Purpose, operator_name};
 use words::{
     HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_in_words,
     release_in_words, with_reach, with_releases, with_state, with_stops,
@@ -92,7 +92,7 @@ struct OrderArgs {
     #[arg(long, value_name = "TEXT", default_value = "command line")]
     reason: String,
     /// Name of the operator, which the array reports; without it, the name of the user by $USER, or "operator"
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = operator_name)]
     operator: Option<String>,
     /// Longest wait in seconds for the confirmation, with the search for the stops; a connection is awaited for at most 2 s
     #[arg(long, value_name = "N", default_value = "5", value_parser = duration::seconds, allow_negative_numbers = true)]

@@ -232,17 +232,18 @@ impl Args {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
             policies.push(EvaluatedPolicy::parse(name, &actor)?);
         }
-        if self.fitting {
-            policies.iter().try_for_each(EvaluatedPolicy::check_file)?;
-            policies.retain(|evaluated| evaluated.fits(&scenario));
-            ensure!(!policies.is_empty(), "--fitting: no policy of --policies fits the room of {}", scenario.name);
-        }
         if self.policies.is_empty() {
             policies = DEFAULT_POLICIES
                 .map(|name| EvaluatedPolicy::parse(name, &actor))
                 .into_iter()
                 .collect::<Result<_, _>>()?;
             policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));
+        }
+        // Before the work starts, and before one that does not fit is left out.
+        policies.iter().try_for_each(EvaluatedPolicy::check_file)?;
+        if self.fitting {
+            policies.retain(|evaluated| evaluated.fits(&scenario));
+            ensure!(!policies.is_empty(), "--fitting: no policy of --policies fits the room of {}", scenario.name);
         }
         let known = [Known::Present, Known::Future];
         let ceilings = policies.iter().map(|first| known.map(|known| first.knowing(known)));

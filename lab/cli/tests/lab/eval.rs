@@ -409,7 +409,12 @@ fn a_comparison_that_fails_leaves_no_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let csv = folder.path().join("figures.csv");
     let csv = csv.to_str().expect("a plain path");
-    refusal(&["--policies", "own.onnx", "--states", "1", "--seeds", "1", "--csv", csv]);
+    for unread in [["--policies", "own.onnx"], ["--model", "own.onnx"]] {
+        let output = eval(&[&unread[..], &["--states", "1", "--seeds", "1", "--csv", csv]].concat());
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{unread:?}: {errors}");
+        assert!(errors.contains("no actor at own.onnx"), "{errors}");
+    }
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
 }
 

@@ -47,10 +47,12 @@ impl fmt::Display for Summary {
             write!(formatter, "\ndecisions on modelled gains, in a room that reports none: {}", self.modelled)?;
         }
         if let Some(BeliefSummary { reports, innovation_mean, noise }) = self.belief {
-            write!(
-                formatter,
-                "\nbelief: mean normalised innovation squared {innovation_mean:.2} over {reports} reported positions"
-            )?;
+            if reports > 0 {
+                write!(
+                    formatter,
+                    "\nbelief: mean normalised innovation squared {innovation_mean:.2} over {reports} reported positions"
+                )?;
+            }
             if let Some(noise) = noise {
                 write!(formatter, "\ntracker noise: {noise}")?;
             }
@@ -80,8 +82,11 @@ impl fmt::Display for Summary {
             write!(formatter, "\n{granted}")?;
         }
         for (room, summary) in &self.rooms {
-            let Quantiles { p50, p99, .. } = summary.decision_us;
-            write!(formatter, "\nroom {room}: decisions {}, p50 {p50:.1} us, p99 {p99:.1} us", summary.decisions)?;
+            write!(formatter, "\nroom {room}: decisions {}", summary.decisions)?;
+            let Quantiles { count, p50, p99, .. } = summary.decision_us;
+            if count > 0 {
+                write!(formatter, ", p50 {p50:.1} us, p99 {p99:.1} us")?;
+            }
         }
         if self.unanswered > 0 {
             write!(formatter, "\nthe policy had not returned for 0.1 s at {} status checks", self.unanswered)?;
@@ -105,7 +110,11 @@ impl Summary {
             let counts = [decisions, commands, fallbacks, clipped.range + clipped.slew];
             write!(formatter, "{name:<14}")?;
             counts.iter().try_for_each(|count| write!(formatter, "{count:>10}"))?;
-            writeln!(formatter, "{:>10.1}{:>10.1}", policy.decision_us.p50, policy.decision_us.p99)?;
+            let Quantiles { count, p50, p99, .. } = policy.decision_us;
+            match count {
+                0 => writeln!(formatter, "{:>10}{:>10}", "-", "-")?,
+                _ => writeln!(formatter, "{p50:>10.1}{p99:>10.1}")?,
+            }
         }
         Ok(())
     }

@@ -45,6 +45,7 @@ pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure, is_ending: 
         // At its first report a controller stands by beside a leader, as after a planned restart.
         TenureEvent::StoodBy => Problem::Notice(text),
         TenureEvent::TookOver if tenure.has_leader_ended() => Problem::End(text),
+        TenureEvent::TookOver => Problem::Event(text),
         _ => Problem::Warning(text),
     })
 }
@@ -230,13 +231,21 @@ mod tests {
         let tenure = Tenure::live(2, INTERVAL);
         let names_pause = |event: TenureEvent, pause: Option<Duration>| {
             let problem = describe_events(&[event], &tenure, false).expect("a problem");
-            let (Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text) | Problem::End(text)) =
-                with_pause(problem, &[event], pause);
-            text.contains("; this process itself stood still for 0.35 s shortly before: look at the load of its host")
+            let problem = with_pause(problem, &[event], pause);
+            problem
+                .text()
+                .contains("; this process itself stood still for 0.35 s shortly before: look at the load of its host")
         };
         let pause = Some(Duration::from_millis(350));
         assert_eq!([TookOver, Superseded, LockedOut].map(|event| names_pause(event, pause)), [true, true, false]);
         assert!(!names_pause(TookOver, None));
+    }
+
+    #[test]
+    fn a_takeover_from_a_silent_leader_is_an_event() {
+        let problem = describe_events(&[TenureEvent::TookOver], &Tenure::live(2, INTERVAL), false);
+        let Some(Problem::Event(text)) = problem else { panic!("an event") };
+        assert!(text.ends_with(takeover_reason(false, false)), "{text}");
     }
 
     #[test]

@@ -30,6 +30,15 @@ fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
 }
 
 #[test]
+fn the_log_of_a_stop_names_what_it_withholds() {
+    let stops = "withheld by the stop of ann".to_owned();
+    let reporter = Reporter { stops, ..Reporter::new(Identity::default()) };
+    let Some((Subject::Stops, problem)) = reporter.new_stops("") else { panic!("a stop") };
+    assert_eq!(problem.text(), "commands are withheld by the stop of ann");
+    assert_eq!(reporter.present_problem(1), "withheld by the stop of ann", "as the state of the status");
+}
+
+#[test]
 fn a_notice_is_in_the_status_until_its_end() {
     let mut reporter = Reporter::new(Identity::default());
     let mut shown = |problem| {
@@ -37,6 +46,7 @@ fn a_notice_is_in_the_status_until_its_end() {
         reporter.present_problem(1)
     };
     assert_eq!(shown(Problem::Notice("this one stands by".into())), "this one stands by");
+    assert_eq!(shown(Problem::Event("this controller takes over".into())), "");
     assert_eq!(shown(Problem::End("this controller leads".into())), "");
 }
 

@@ -104,7 +104,11 @@ impl RoomPart {
             share(self.qos_met),
             share(self.qos_met_oracle)
         )?;
-        outln!("blocked users: {:.2} on average", self.blocked_users_mean)
+        match self.sum_rate_mbps {
+            // No instant was computed.
+            None => outln!("blocked users: -"),
+            Some(_) => outln!("blocked users: {:.2} on average", self.blocked_users_mean),
+        }
     }
 }
 
@@ -143,7 +147,9 @@ impl ControllerPart {
         )?;
         for (name, PolicySummary { tally, decision_us: times }) in &self.policies {
             let Tally { decisions, commands, fallbacks, .. } = tally;
-            outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{:>10.0}{:>10.0}", times.p50, times.p99)?;
+            let Quantiles { count, p50, p99, .. } = times;
+            let times = if *count == 0 { format!("{0:>10}{0:>10}", "-") } else { format!("{p50:>10.0}{p99:>10.0}") };
+            outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{times}")?;
         }
         Ok(())
     }
@@ -188,6 +194,17 @@ impl Summary {
         given.filter(|file| file.hash == *used).map(|file| file.name.as_str())
     }
 
+    /// The rows of times that a process has reported.
+    fn times(&self) -> Vec<(&'static str, &Quantiles)> {
+        let (room, controller) = (self.room.as_ref(), self.controller.as_ref());
+        let times = [
+            ("decision", controller.map(|controller| &controller.decision_us)),
+            ("loop: report to mirrors", room.map(|room| &room.loop_us)),
+            ("age of the positions", controller.map(|controller| &controller.age_us)),
+        ];
+        times.into_iter().filter_map(|(name, time)| Some((name, time?))).collect()
+    }
+
     /// Prints a table. The user gave the file of a network, if any.
     pub fn print(&self, network: Option<&NetworkFile>) -> io::Result<()> {
         let (room, controller) = (self.room.as_ref(), self.controller.as_ref());
@@ -207,14 +224,12 @@ impl Summary {
         if let Some(note) = self.several_controllers() {
             outln!("{note}")?;
         }
-        outln!()?;
-        outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
-        let times = [
-            ("decision", controller.map(|controller| &controller.decision_us)),
-            ("loop: report to mirrors", room.map(|room| &room.loop_us)),
-            ("age of the positions", controller.map(|controller| &controller.age_us)),
-        ];
-        for (name, time) in times.into_iter().filter_map(|(name, time)| Some((name, time?))) {
+        let times = self.times();
+        if !times.is_empty() {
+            outln!()?;
+            outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
+        }
+        for (name, time) in times {
             let Quantiles { count, p50, p90, p99, p999, max, .. } = time;
             if *count == 0 {
                 outln!("{name:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "-", "-", "-", "-", "-")?;
@@ -292,6 +307,15 @@ mod tests {
         assert_eq!(longest_stages(&BTreeMap::from([("infer".to_owned(), 2)])), "; longest stage: infer 2");
         let two = BTreeMap::from([("infer".to_owned(), 2), ("publish".to_owned(), 1)]);
         assert_eq!(longest_stages(&two), "; longest stage: infer 2, publish 1");
+    }
+
+    #[test]
+    fn a_process_that_ended_early_has_no_rows_of_times() {
+        let names = |summary: &Summary| summary.times().into_iter().map(|(name, _)| name).collect::<Vec<_>>();
+        let none = Summary { room: None, controller: None, controllers_started: 1 };
+        assert_eq!(names(&none), [""; 0], "and no header");
+        let one = Summary { controller: Some(controller(&serde_json::json!({}))), ..none };
+        assert_eq!(names(&one), ["decision", "age of the positions"]);
     }
 
     #[test]

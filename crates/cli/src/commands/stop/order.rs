@@ -53,6 +53,20 @@ impl Purpose {
     }
 }
 
+/// The name of an operator, which others see.
+pub(super) fn operator_name(text: &str) -> Result<String, String> {
+    let is_visible = |character: char| !character.is_whitespace() && !character.is_control();
+    match text.contains(is_visible) {
+        true => Ok(text.to_owned()),
+        false => Err("expected a name with at least one visible character, for example anna".to_owned()),
+    }
+}
+
+/// The name of an operator who gives none, from that of the user.
+fn user_name(user: Option<String>) -> String {
+    user.and_then(|user| operator_name(&user).ok()).unwrap_or_else(|| "operator".to_owned())
+}
+
 /// An order on its way: its switch, and the sessions through which it goes out.
 pub(super) struct Order {
     pub switch: Arc<StopSwitch>,
@@ -112,8 +126,7 @@ impl Place {
 impl Order {
     /// An order of this operator, or of the user. `timeout` bounds the wait for a connection too.
     pub fn new(purpose: Purpose, operator: Option<&str>, timeout: Duration) -> Self {
-        let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
-        let operator = operator.map_or_else(user, str::to_owned);
+        let operator = operator.map_or_else(|| user_name(std::env::var("USER").ok()), str::to_owned);
         Self {
             switch: Arc::new(StopSwitch::new(&operator)),
             purpose,
@@ -288,6 +301,17 @@ mod tests {
     use heliostat_bus::free_loopback_endpoint;
 
     use super::*;
+
+    #[test]
+    fn an_operator_has_a_name_that_can_be_seen() {
+        assert_eq!(operator_name("Anna B").as_deref(), Ok("Anna B"));
+        for unseen in ["", " ", "\t\u{1b}"] {
+            assert!(operator_name(unseen).is_err(), "{unseen:?}");
+            assert_eq!(user_name(Some(unseen.to_owned())), "operator");
+        }
+        assert_eq!(user_name(None), "operator");
+        assert_eq!(user_name(Some("ann".to_owned())), "ann");
+    }
 
     #[test]
     fn only_a_reason_that_names_no_remedy_of_its_own_gets_one() {

@@ -6,6 +6,7 @@ use anyhow::anyhow;
 use heliostat_bus::BusArgs;
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
+use heliostat_service::duration::in_seconds;
 use heliostat_service::printable::printable;
 use heliostat_ui::{Rights, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped};
 
@@ -14,6 +15,10 @@ pub(super) const HELD: &str = "the stop is held: end with Ctrl-C";
 /// What to do where further stops may hold the arrays.
 pub(super) const LOOK_AND_REPEAT: &str =
     "look at `heliostat status`, and repeat the re-arm for the stops that it names";
+
+/// What becomes of a stop that is not confirmed.
+const SENT: &str = "The stop was sent, and stays in force where it arrived. An array that returns later can get it then, \
+                    and stop.\nWith the endpoint of its driver in --connect, `heliostat status` shows what an array does.";
 
 /// A change of the confirmation of a held stop that was confirmed before.
 pub(super) fn confirmation_in_words(is_confirmed: bool, open: impl FnOnce() -> String) -> String {
@@ -77,14 +82,14 @@ pub(super) fn given(release: Release) -> impl Fn(&StopSwitch) -> String + Send +
                 open_in_words(switch)
             ),
         };
-        format!("{known}{}", own_in_words(switch, &release))
+        let own = own_in_words(switch, &release);
+        if own.is_empty() { known } else { format!("{known}. {own}") }
     }
 }
 
-/// The name of the stop of this command and what releases it, as a sentence that follows another one; empty before it
-/// is given.
+/// The name of the stop of this command and what releases it, as a sentence; empty before it is given.
 pub(super) fn own_in_words(switch: &StopSwitch, release: &Release) -> String {
-    let words = |name| format!(". The stop is {name}; to release it: `{}`{}", release.of_stop(name), release.needs());
+    let words = |name| format!("The stop is {name}; to release it: `{}`{}", release.of_stop(name), release.needs());
     switch.own_name().map(words).unwrap_or_default()
 }
 
@@ -96,27 +101,29 @@ pub(super) fn open_in_words(switch: &StopSwitch) -> String {
     stopped.into_iter().chain(switch.problems()).collect::<Vec<_>>().join("; ")
 }
 
-/// An error of a stop; of an unconfirmed one with what this command cannot see, and with its name and its release in
-/// words.
+/// An error of a stop, in lines. An unconfirmed one has one line for each array, then what this command cannot see, and
+/// its name and its release.
 pub(super) fn with_reach(error: UiError, own: &str) -> anyhow::Error {
-    match error {
-        UiError::StopUnconfirmed { ref arrays, .. } => {
-            let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
-            let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
-            anyhow!(
-                "{error}{count}. The stop was sent, and stays in force where it arrived; an array that returns later can \
-                 get it then, and stop. Reports come only from the processes in --connect: with the endpoint of its \
-                 driver, heliostat status shows what an array does{own}"
-            )
+    let mut lines: Vec<String> = match error {
+        UiError::StopUnconfirmed { waited, arrays } if !arrays.is_empty() => {
+            let open = |open: String| match open == UNKNOWN_ARRAYS {
+                true => format!("{open}, or give their number: --arrays N"),
+                false => open,
+            };
+            let head = format!("the stop is not confirmed after {}:", in_seconds(waited));
+            [head].into_iter().chain(arrays.into_iter().map(open)).chain([SENT.to_owned()]).collect()
         }
-        error @ UiError::NoReceiver(_) => {
-            anyhow!(
-                "{error}. No array received the stop, and the mirrors go on moving; an array that connected during the wait \
-                 may have it{own}"
-            )
-        }
-        error => error.into(),
+        error @ UiError::StopUnconfirmed { .. } => vec![error.to_string(), SENT.to_owned()],
+        UiError::NoReceiver(receiver) => vec![format!(
+            "no {receiver} received the stop: check --room and --connect. The mirrors go on moving: to stop them now, cut \
+             their power. An array that connected during the wait may have it"
+        )],
+        error => return error.into(),
+    };
+    if !own.is_empty() {
+        lines.push(own.to_owned());
     }
+    anyhow!(lines.join("\n"))
 }
 
 /// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state,
@@ -182,9 +189,20 @@ mod tests {
             let arrays = arrays.iter().map(|open| (*open).to_owned()).collect();
             with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }, "").to_string()
         };
-        assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
-        assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
+        assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N\nThe stop was sent"));
+        assert!(text(&[]).contains("array that returns later can get it then, and stop"));
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
+    }
+
+    #[test]
+    fn each_array_that_has_not_confirmed_has_a_line_of_its_own() {
+        let open = [0, 1].map(|array| format!("array {array} does not answer: cut its power"));
+        let error = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: open.to_vec() };
+        let text = with_reach(error, "The stop is 3/4").to_string();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "the stop is not confirmed after 5 s:");
+        assert_eq!(lines[1..3], open);
+        assert_eq!(lines.last(), Some(&"The stop is 3/4"));
     }
 
     /// A stop without sender.
@@ -265,7 +283,7 @@ mod tests {
         let refused = switch.stop("smoke").expect_err("there is no array");
         let own = own_in_words(&switch, &release);
         let name = switch.own_name().expect("it was given");
-        assert_eq!(own, format!(". The stop is {name}; to release it: `heliostat rearm --stop {name}`"));
+        assert_eq!(own, format!("The stop is {name}; to release it: `heliostat rearm --stop {name}`"));
         let unconfirmed = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: Vec::new() };
         for error in [refused, unconfirmed] {
             let text = with_reach(error, &own).to_string();
@@ -277,6 +295,7 @@ mod tests {
     #[test]
     fn a_stop_that_no_array_received_was_published_all_the_same() {
         let text = with_reach(UiError::NoReceiver("array"), "").to_string();
-        assert!(text.ends_with("an array that connected during the wait may have it"), "{text}");
+        assert!(text.ends_with("An array that connected during the wait may have it"), "{text}");
+        assert!(!text.contains("start one"), "{text}");
     }
 }

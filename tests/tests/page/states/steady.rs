@@ -14,8 +14,13 @@ const PLACES: &str = "const frame = () => new Promise((resolve) => requestAnimat
        if (innerWidth > 860) parts.push(document.getElementById('event-log')); \
        return parts.map((part) => { const { left, top } = part.getBoundingClientRect(); return [left, top]; }); })";
 
-fn places(browser: &Browser) -> Vec<[f64; 2]> {
-    serde_json::from_value(browser.run(PLACES)).expect("places")
+/// The places before a script and after it. Both are of a few frames, so that the room itself seldom changes meanwhile.
+fn places_around(browser: &Browser, change: &str, undo: &str) -> [Vec<[f64; 2]>; 2] {
+    let script = format!(
+        "const places = () => {{ {PLACES} }}; const at = (id) => document.getElementById(id); \
+         return places().then((before) => {{ {change}; return places().then((after) => {{ {undo}; return [before, after]; }}); }})"
+    );
+    serde_json::from_value(browser.run(&script)).expect("places")
 }
 
 /// Whether all parts are where they were, apart from the rounding to pixels.
@@ -32,46 +37,49 @@ fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
     // A refusal that is longer than its place.
     let long = "a policy that no controller has ".repeat(10);
     let refused = format!(r#"{{ order: "policy", name: "{long}" }}"#);
-    for (width, height, watts) in [(390, 844, 4), (1280, 800, 1), (1280, 600, 4), (1920, 1080, 1)] {
+    let refusal = format!(
+        "const [text, kind] = [at('order-status').textContent, at('order-status').className]; \
+                           at('order-status').textContent = 'refused: {long}'; at('order-status').className = 'bad'"
+    );
+    // Beside the list and the banner of the page, which the next figures hide again. On a phone the bar has one more line.
+    let problem = "for (const [id, text] of [['problem', 'The simulator reports no positions of users. '], ['banner', 'The array has confirmed the stop. ']]) { \
+           const part = at(id).cloneNode(false); \
+           part.hidden = false; \
+           part.dataset.copy = 'yes'; \
+           part.textContent = text.repeat(6); \
+           at(id).after(part); } \
+         document.documentElement.style.setProperty('--bar', '93px')";
+    let no_problem = "document.querySelectorAll('[data-copy]').forEach((part) => part.remove()); \
+         document.documentElement.style.removeProperty('--bar')";
+    let pressed = "const pressed = at('power').querySelector('[aria-pressed=true]'); \
+         const [button] = at('power').querySelectorAll('[aria-pressed=false]'); \
+         pressed?.setAttribute('aria-pressed', 'false'); button.setAttribute('aria-pressed', 'true')";
+    let changes = [
+        ("a refusal", refusal.as_str(), "Object.assign(at('order-status'), { textContent: text, className: kind })"),
+        ("a problem and a banner", problem, no_problem),
+        (
+            "another pressed button",
+            pressed,
+            "button.setAttribute('aria-pressed', 'false'); pressed?.setAttribute('aria-pressed', 'true')",
+        ),
+    ];
+    for (width, height) in [(390, 844), (1280, 800), (1280, 600), (1920, 1080)] {
         browser.resize(width, height);
         browser.run("scrollTo(0, 0); document.getElementById('power').scrollIntoView({ block: 'center' })");
-        wait_until("no answer", || browser.text("#order-status").is_empty());
-        let before = places(&browser);
-        let check = |state: &str| {
-            let now = places(&browser);
-            assert!(are_kept(&before, &now), "{state} at {width} x {height}: {before:?}, then {now:?}");
-        };
+        for (what, change, undo) in changes {
+            wait_until(&format!("{what} that moves no button at {width} x {height}"), || {
+                let [before, after] = places_around(&browser, change, undo);
+                are_kept(&before, &after)
+            });
+        }
         order(&browser, &refused);
-        wait_until("a long refusal", || browser.text("#order-status").len() > long.len());
-        check("a refusal");
         // The text that the place cannot hold is reached by scrolling, and in the tooltip.
         let whole = "const status = document.getElementById('order-status'); \
              const { overflowY } = getComputedStyle(status); \
              return [status.title === status.textContent, overflowY, status.clientHeight < 80]";
-        assert_eq!(browser.run(whole), json!([true, "auto", true]), "{width} x {height}");
-        // Beside the list and the banner of the page, which the next figures hide again. On a phone the bar has one more line.
-        browser.run(
-            "for (const [id, text] of [['problem', 'The simulator reports no positions of users. '], ['banner', 'The array has confirmed the stop. ']]) { \
-               const part = document.getElementById(id).cloneNode(false); \
-               part.hidden = false; \
-               part.dataset.copy = 'yes'; \
-               part.textContent = text.repeat(6); \
-               document.getElementById(id).after(part); } \
-             document.documentElement.style.setProperty('--bar', '93px')",
-        );
-        check("a problem and a banner");
-        browser.run(
-            "document.querySelectorAll('[data-copy]').forEach((part) => part.remove()); \
-             document.documentElement.style.removeProperty('--bar')",
-        );
-        check("no problem");
-        // Another pressed button, and its answer, in place of the refusal.
-        order(&browser, &format!(r#"{{ order: "power", watts: {watts} }}"#));
-        let pressed = format!("return document.querySelector(\"#power [data-value='{watts}']\").ariaPressed");
-        wait_until("another pressed button", || browser.run(&pressed) == "true");
-        check("another pressed button");
-        wait_until("no answer", || browser.text("#order-status").is_empty());
-        check("no answer");
+        wait_until("a long refusal in its place", || {
+            browser.text("#order-status").len() > long.len() && browser.run(whole) == json!([true, "auto", true])
+        });
     }
 }
 

@@ -1,15 +1,17 @@
 //! A headless Chromium, driven by chromedriver over W3C WebDriver (JSON over HTTP).
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Condvar, Mutex, MutexGuard};
-use std::thread::available_parallelism;
+use std::sync::{Condvar, LazyLock, Mutex};
+use std::thread::{ThreadId, available_parallelism, current};
 
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use heliostat_service::locks::{lock, unpoisoned};
 use serde_json::{Value, json};
 
-use crate::wait::wait_until;
+use crate::wait::{TIME_LIMIT, wait_until};
 
 /// Flags for a run as root, without a graphics card, and without requests other than the page's.
 const FLAGS: [&str; 9] = [
@@ -32,42 +34,46 @@ const FLAT: [&str; 2] = ["--disable-gpu", "--disable-3d-apis"];
 
 /// A browser with one page; it ends when dropped.
 ///
-/// A browser that draws in three dimensions without a graphics card computes on all processors. So at most as many
-/// of these are open at once in the tests of a process as the machine has processors: the next one waits, and a
-/// test must not open a second one beside its first.
+/// A browser computes for most of its time. So at most as many tests of a process have one at once as the machine has
+/// processors: the next one waits. A test may open a second one beside its first.
 pub struct Browser {
     driver: Child,
     /// Address of the session.
     session: String,
     _profile: tempfile::TempDir,
     // Dropped last, after the browser ended.
-    _turn: Option<Turn>,
+    _turn: Turn,
 }
 
-/// One of the browsers with pictures in three dimensions that may be open at once.
-struct Turn;
-
-static OPEN: Mutex<usize> = Mutex::new(0);
+/// The threads whose tests have a browser, with the number of theirs.
+static OPEN: LazyLock<Mutex<HashMap<ThreadId, usize>>> = LazyLock::new(Mutex::default);
 static CLOSED: Condvar = Condvar::new();
+
+/// A browser of a test, whose thread it names.
+struct Turn(ThreadId);
 
 impl Turn {
     fn wait() -> Self {
         let most = available_parallelism().map_or(1, usize::from);
-        *unpoisoned(CLOSED.wait_while(open_browsers(), |open| *open >= most)) += 1;
-        Self
+        let test = current().id();
+        let mut open =
+            unpoisoned(CLOSED.wait_while(lock(&OPEN), |open| open.len() >= most && !open.contains_key(&test)));
+        *open.entry(test).or_default() += 1;
+        Self(test)
     }
 }
 
 impl Drop for Turn {
     fn drop(&mut self) {
-        *open_browsers() -= 1;
+        let mut open = lock(&OPEN);
+        if let Entry::Occupied(mut of_test) = open.entry(self.0) {
+            *of_test.get_mut() -= 1;
+            if *of_test.get() == 0 {
+                of_test.remove();
+            }
+        }
         CLOSED.notify_one();
     }
-}
-
-/// The number of open browsers; a test that failed beside it leaves it intact.
-fn open_browsers() -> MutexGuard<'static, usize> {
-    lock(&OPEN)
 }
 
 impl Browser {
@@ -76,8 +82,7 @@ impl Browser {
     /// # Panics
     /// When the browser does not start.
     pub fn open(url: &str) -> Self {
-        let turn = Turn::wait();
-        Self::start(url, &SOFTWARE_3D, Some(turn))
+        Self::start(url, &SOFTWARE_3D)
     }
 
     /// The same in a browser without WebGL.
@@ -85,10 +90,11 @@ impl Browser {
     /// # Panics
     /// As [`Browser::open`].
     pub fn open_flat(url: &str) -> Self {
-        Self::start(url, &FLAT, None)
+        Self::start(url, &FLAT)
     }
 
-    fn start(url: &str, more: &[&str], turn: Option<Turn>) -> Self {
+    fn start(url: &str, more: &[&str]) -> Self {
+        let turn = Turn::wait();
         let mut command = Command::new("chromedriver");
         command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null());
         let mut driver = command.spawn().expect("chromedriver starts");
@@ -98,7 +104,7 @@ impl Browser {
         flags.push(format!("--user-data-dir={}", profile.path().display()));
         flags.extend(more.iter().map(|flag| (*flag).to_owned()));
         let (options, logs) = (json!({ "args": flags }), json!({ "browser": "ALL" }));
-        let capabilities = json!({ "alwaysMatch": { "goog:chromeOptions": options, "goog:loggingPrefs": logs } });
+        let capabilities = json!({ "alwaysMatch": { "goog:chromeOptions": options, "goog:loggingPrefs": logs, "timeouts": { "script": TIME_LIMIT.as_millis() } } });
         let sessions = format!("http://127.0.0.1:{port}/session");
         let session =
             call(&sessions, &json!({ "capabilities": capabilities })).expect("chromedriver starts a Chromium");

@@ -1,16 +1,12 @@
 //! A headless Chromium, driven by chromedriver over W3C WebDriver (JSON over HTTP).
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Condvar, LazyLock, Mutex};
-use std::thread::{ThreadId, available_parallelism, current};
 
 use base64::prelude::{BASE64_STANDARD, Engine as _};
-use heliostat_service::locks::{lock, unpoisoned};
 use serde_json::{Value, json};
 
+use crate::turn::Turn;
 use crate::wait::{TIME_LIMIT, wait_until};
 
 /// Flags for a run as root, without a graphics card, and without requests other than the page's.
@@ -34,8 +30,7 @@ const FLAT: [&str; 2] = ["--disable-gpu", "--disable-3d-apis"];
 
 /// A browser with one page; it ends when dropped.
 ///
-/// A browser computes for most of its time. So at most as many tests of a process have one at once as the machine has
-/// processors: the next one waits. A test may open a second one beside its first.
+/// It takes a [`Turn`].
 pub struct Browser {
     driver: Child,
     /// Address of the session.
@@ -43,37 +38,6 @@ pub struct Browser {
     _profile: tempfile::TempDir,
     // Dropped last, after the browser ended.
     _turn: Turn,
-}
-
-/// The threads whose tests have a browser, with the number of theirs.
-static OPEN: LazyLock<Mutex<HashMap<ThreadId, usize>>> = LazyLock::new(Mutex::default);
-static CLOSED: Condvar = Condvar::new();
-
-/// A browser of a test, whose thread it names.
-struct Turn(ThreadId);
-
-impl Turn {
-    fn wait() -> Self {
-        let most = available_parallelism().map_or(1, usize::from);
-        let test = current().id();
-        let mut open =
-            unpoisoned(CLOSED.wait_while(lock(&OPEN), |open| open.len() >= most && !open.contains_key(&test)));
-        *open.entry(test).or_default() += 1;
-        Self(test)
-    }
-}
-
-impl Drop for Turn {
-    fn drop(&mut self) {
-        let mut open = lock(&OPEN);
-        if let Entry::Occupied(mut of_test) = open.entry(self.0) {
-            *of_test.get_mut() -= 1;
-            if *of_test.get() == 0 {
-                of_test.remove();
-            }
-        }
-        CLOSED.notify_one();
-    }
 }
 
 impl Browser {

@@ -5,6 +5,7 @@
 //! - [`Browser`]: a browser with one page.
 //! - [`PageServer`]: a server of the live page.
 //! - [`Pauses`]: the longest pause of the machine.
+//! - [`Turn`]: a turn of a test that computes for most of its time.
 //! - [`PythonExample`]: an example in Python as a process.
 //! - [`containers`]: a container engine with base images.
 //! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
@@ -22,6 +23,7 @@ pub mod packages;
 mod pauses;
 mod process;
 mod python;
+mod turn;
 mod wait;
 
 pub use browser::Browser;
@@ -31,4 +33,5 @@ pub use observer::{Latest, RoomObserver, encoded};
 pub use pauses::Pauses;
 pub use process::{Ended, Process, TWO_ARRAYS, golden_recording, number, programs, workspace};
 pub use python::{PythonExample, python};
+pub use turn::Turn;
 pub use wait::wait_until;

@@ -10,7 +10,7 @@ use std::process::Command;
 
 use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Browser, Process, RoomObserver, choose_theme, wait_until, workspace};
+use heliostat_tests::{Browser, Process, RoomObserver, Turn, choose_theme, wait_until, workspace};
 
 /// A demo with a page, and an observer of its topics.
 struct Setting {
@@ -18,6 +18,8 @@ struct Setting {
     observer: RoomObserver,
     /// Host and port of the page.
     host: String,
+    // Taken before the processes start, and dropped last.
+    _turn: Turn,
 }
 
 impl Setting {
@@ -26,6 +28,7 @@ impl Setting {
     }
 
     fn start(arguments: &[&str]) -> Self {
+        let turn = Turn::wait();
         let always = ["demo", "--plain", "--ui-port", "0"];
         let all: Vec<&str> = always.iter().chain(arguments).copied().collect();
         let demo = Process::heliostat(&all);
@@ -36,7 +39,7 @@ impl Setting {
             found.and_then(|rest| rest.split([',', ';', ' ']).next()).expect("two endpoints are printed").to_owned()
         };
         let observer = RoomObserver::connect("demo", &[&endpoint(0), &endpoint(1)]);
-        Self { host: word_after(&output, "the page is at http://"), demo, observer }
+        Self { host: word_after(&output, "the page is at http://"), demo, observer, _turn: turn }
     }
 
     fn url(&self) -> String {

@@ -2,7 +2,7 @@
 
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::Room;
-use heliostat_tests::{Browser, PageServer, Process, RoomObserver, wait_until};
+use heliostat_tests::{Browser, PageServer, Process, RoomObserver, Turn, wait_until};
 
 /// A script: whether the chart of the sum rate has a line in the colour of the policy "greedy".
 pub const GREEDY_LINE: &str = "const canvas = document.querySelector('#sum-chart canvas'); \
@@ -16,6 +16,8 @@ pub struct Setting {
     pub controller: Process,
     pub server: PageServer,
     endpoints: [String; 2],
+    // Taken before the processes start, and dropped last.
+    _turn: Turn,
 }
 
 impl Setting {
@@ -47,13 +49,14 @@ impl Setting {
 
     /// The processes, with more flags of the page's server.
     fn seen_by(set: &[&str], server: &[&str]) -> Self {
+        let turn = Turn::wait();
         let endpoints = [(); 2].map(|()| private_endpoint().expect("an endpoint"));
         let [at_room, at_controller] = endpoints.each_ref().map(String::as_str);
         let room = Process::heliostat(&[&["sim-node", "--listen", at_room], set].concat());
         let join = ["controller", "--policy", "greedy", "--connect", at_room, "--listen", at_controller];
         let controller = Process::heliostat(&[&join, set].concat());
         let server = PageServer::start(&[&["--connect", at_room, "--connect", at_controller], server, set].concat());
-        Self { room, controller, server, endpoints }
+        Self { room, controller, server, endpoints, _turn: turn }
     }
 
     /// A browser that shows the running room from above, which costs little of the processors.

@@ -66,15 +66,15 @@ impl Scenario {
         within(&key("height_m"), mirrors.height_m, 1e-4..=SIZE_MAX_M.min(ceiling))?;
         within(&key("gap_m"), mirrors.gap_m, 0.0..=5.0)?;
         within(&key("reflectivity"), mirrors.reflectivity, 0.0..=1.0)?;
-        let edge = mirrors.height_m / 2.0;
-        within(&key("centre_height_m"), mirrors.centre_height_m, edge..=ceiling - edge)?;
+        let centres_m = |rows| {
+            let half_m = extent(rows, mirrors.height_m, mirrors.gap_m) / 2.0;
+            half_m..=ceiling - half_m
+        };
+        within(&key("centre_height_m"), mirrors.centre_height_m, centres_m(1))?;
         let (columns, rows) = (mirrors.columns, mirrors.rows);
         let is_within_wall = |columns| extent(columns, mirrors.width_m, mirrors.gap_m) <= wall;
         check_side(&key("columns"), columns, is_within_wall, || format!("on its wall of {wall} m"))?;
-        let is_within_room = |rows| {
-            let [low, high] = heights(&Mirrors { rows, ..mirrors.clone() });
-            low >= 0.0 && high <= ceiling
-        };
+        let is_within_room = |rows| centres_m(rows).contains(&mirrors.centre_height_m);
         let centre = || format!("between floor and ceiling about the centre at {} m", mirrors.centre_height_m);
         check_side(&key("rows"), rows, is_within_room, centre)?;
         count(&format!("{table}.rows x {table}.columns"), rows * columns, 1..=MIRRORS_MAX)

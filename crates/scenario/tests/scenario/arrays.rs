@@ -74,6 +74,14 @@ fn arrays_that_overlap_are_refused() {
 }
 
 #[test]
+fn a_mirror_that_touches_the_ceiling_is_accepted() {
+    // In floating point, 2.16 plus half of 0.48 is above 2.4.
+    let place = ["mirrors.rows=1", "mirrors.height_m=0.48", "mirrors.centre_height_m=2.16"];
+    let room = ["room.height_m=2.4", "led.positions_m=[[0,0,2.4]]"];
+    assert_eq!(Scenario::default().with_overrides(&[&room[..], &place[..]].concat()).err(), None);
+}
+
+#[test]
 fn the_check_lists_each_problem_of_several_arrays_once() {
     let text = TWO.replace("0.8", "1.8").replace("rows = 4", "rows = 0").replace("columns = 5", "colums = 5");
     let lines: Vec<_> = Scenario::check_all(&text).problems.iter().map(|problem| problem.line).collect();

@@ -10,7 +10,7 @@ use anyhow::Context;
 use heliostat_bus::Bus;
 use heliostat_core::room_core::WAKE_INTERVAL_NS;
 use heliostat_proto::Room;
-use heliostat_service::{CertificateEnds, Stop};
+use heliostat_service::Stop;
 
 use crate::{
     config::NodeConfig,
@@ -35,8 +35,7 @@ const WAKE_INTERVAL: Duration = Duration::from_nanos(WAKE_INTERVAL_NS);
 /// If a policy does not fit, or the bus cannot be opened.
 pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyhow::Result<Summary> {
     let started = Instant::now();
-    let ends = CertificateEnds { own: config.bus.certificate_end(), router: config.bus.router_certificate_end() };
-    let exporter = config.metrics.open(ends)?;
+    let exporter = config.metrics.open(config.bus.certificate_ends())?;
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();

@@ -1,7 +1,7 @@
 //! Endpoints of a session, and the settings of Zenoh for short delays.
 
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use heliostat_files::shell_word;
 use heliostat_proto::Room;
@@ -11,7 +11,7 @@ use zenoh::config::{Config, EndPoint};
 use crate::access::AccessRole;
 use crate::error::BusError;
 use crate::platform::HAS_UNIX_SOCKETS;
-use crate::tls::{self, Identity};
+use crate::tls::{self, CertificateEnds, Identity};
 
 /// Default endpoint: one process of a room listens there, the others connect to it.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -114,14 +114,9 @@ impl BusConfig {
         self.identity.is_some()
     }
 
-    /// End of the certificate, if there is one.
-    pub fn certificate_end(&self) -> Option<SystemTime> {
-        self.identity.as_ref().map(Identity::end)
-    }
-
-    /// End of the certificate of the router, if the folder of the keys has that certificate too.
-    pub fn router_certificate_end(&self) -> Option<SystemTime> {
-        self.identity.as_ref().and_then(Identity::router_end)
+    /// When the certificates end that the folder of the keys has.
+    pub fn certificate_ends(&self) -> CertificateEnds {
+        self.identity.as_ref().map(|identity| identity.ends).unwrap_or_default()
     }
 
     /// Whether other machines can read or send the messages of this session without a certificate.

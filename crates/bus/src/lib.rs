@@ -57,4 +57,4 @@ pub use error::{BusError, KeyError};
 pub use free_endpoint::{free_loopback_endpoint, free_loopback_port, private_endpoint};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};
 pub use through::{ACCEPTS_WITHIN, is_joined_through, join_all_through, join_each, join_through, reached};
-pub use tls::Identity;
+pub use tls::{CertificateEnds, Identity};

@@ -39,10 +39,16 @@ pub struct Identity {
     folder: PathBuf,
     room: Room,
     role: AccessRole,
-    /// End of the certificate.
-    end: SystemTime,
-    /// End of the certificate of the router in the same folder, if there is one.
-    router_end: Option<SystemTime>,
+    pub(crate) ends: CertificateEnds,
+}
+
+/// When certificates end that a process knows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CertificateEnds {
+    /// That of the process.
+    pub own: Option<SystemTime>,
+    /// That of the router, where the folder of keys has it.
+    pub router: Option<SystemTime>,
 }
 
 impl Identity {
@@ -81,8 +87,8 @@ impl Identity {
         }
         // Its private key need not be there, and the process does not use it.
         let router = Certificate::read(&folder.join(certificate_file(AccessRole::Router)));
-        let router_end = router.ok().map(|router| router.end());
-        Ok(Self { folder, room, role, end: certificate.end(), router_end })
+        let ends = CertificateEnds { own: Some(certificate.end()), router: router.ok().map(|router| router.end()) };
+        Ok(Self { folder, room, role, ends })
     }
 
     /// The certificate of another role in the same folder, for a process that has both.
@@ -101,16 +107,6 @@ impl Identity {
     /// Role that gives its rights.
     pub fn role(&self) -> AccessRole {
         self.role
-    }
-
-    /// End of its certificate.
-    pub(crate) fn end(&self) -> SystemTime {
-        self.end
-    }
-
-    /// End of the certificate of the router in its folder; `None` where there is none that can be read.
-    pub(crate) fn router_end(&self) -> Option<SystemTime> {
-        self.router_end
     }
 
     /// Folder of its files.

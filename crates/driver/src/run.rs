@@ -18,7 +18,7 @@ use heliostat_array::stop_record::{END_UNSETTLED, END_WAIT_NS, advice};
 use heliostat_array::watch::Watch;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_service::log_limit::LogLimit;
-use heliostat_service::{CertificateEnds, Exporter, MetricsArgs, MetricsError, Stop, source_id};
+use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::claim::Claim;
@@ -114,9 +114,7 @@ impl<D: Device> ArrayDriver<D> {
     /// # Errors
     /// As for [`run`].
     pub fn open(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Option<Self>, RunError> {
-        let ends =
-            CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
-        let exporter = settings.metrics.open(ends)?;
+        let exporter = settings.metrics.open(settings.bus.certificate_ends())?;
         let Some(bus) = open(&settings.bus, stop)? else { return Ok(None) };
         let array = settings.array;
         let source = source_id::random();

@@ -21,7 +21,7 @@ use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::whole_file::expected_new;
-use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, source_id};
+use heliostat_service::{MetricsArgs, Page, Stop, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -105,8 +105,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let begun = Begun { path: out.clone(), is_kept: false };
     let writer = RoomWriter::create(file, settings, out);
     let mut writer = writer.with_context(|| format!("cannot create {}", begun.path.display()))?;
-    let ends = CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
-    let exporter = settings.metrics.open(ends)?;
+    let exporter = settings.metrics.open(settings.bus.certificate_ends())?;
     let mut exported: Option<Instant> = None;
     let (payloads, queue) = queue::bounded();
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;

@@ -10,6 +10,7 @@ use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use axum::routing::get;
+use heliostat_bus::CertificateEnds;
 use thiserror::Error;
 
 use crate::http::{self, Limits};
@@ -50,34 +51,23 @@ pub fn socket_address(text: &str) -> Result<SocketAddr, String> {
     text.parse().map_err(|_| "expected an IP address and a port, for example 127.0.0.1:9464 or [::1]:9464".into())
 }
 
-/// When certificates end that a process knows.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct CertificateEnds {
-    /// That of the process.
-    pub own: Option<SystemTime>,
-    /// That of the router, where the folder of keys has it.
-    pub router: Option<SystemTime>,
-}
-
-impl CertificateEnds {
-    /// Adds the known ones to a page.
-    fn add_to(self, page: &mut Page) {
-        let known = [
-            (
-                "heliostat_certificate_end_timestamp_seconds",
-                "End of the certificate with which the process started, in s since 1970-01-01 UTC",
-                self.own,
-            ),
-            (
-                "heliostat_router_certificate_end_timestamp_seconds",
-                "End of the certificate of the router beside the keys with which the process started, in s since 1970-01-01 UTC",
-                self.router,
-            ),
-        ];
-        for (name, help, end) in known {
-            if let Some(end) = end.and_then(|end| end.duration_since(SystemTime::UNIX_EPOCH).ok()) {
-                page.gauge(name, help, &[], end.as_secs_f64());
-            }
+/// Adds the known ends of certificates to a page.
+fn add_ends(CertificateEnds { own, router }: CertificateEnds, page: &mut Page) {
+    let known = [
+        (
+            "heliostat_certificate_end_timestamp_seconds",
+            "End of the certificate with which the process started, in s since 1970-01-01 UTC",
+            own,
+        ),
+        (
+            "heliostat_router_certificate_end_timestamp_seconds",
+            "End of the certificate of the router beside the keys with which the process started, in s since 1970-01-01 UTC",
+            router,
+        ),
+    ];
+    for (name, help, end) in known {
+        if let Some(end) = end.and_then(|end| end.duration_since(SystemTime::UNIX_EPOCH).ok()) {
+            page.gauge(name, help, &[], end.as_secs_f64());
         }
     }
 }
@@ -125,7 +115,7 @@ impl Exporter {
 
     /// Replaces the page.
     pub fn publish(&self, mut page: Page) {
-        self.certificate_ends.add_to(&mut page);
+        add_ends(self.certificate_ends, &mut page);
         *lock(&self.newest) = Some(page);
     }
 }

@@ -43,7 +43,7 @@ pub mod terminal;
 mod waiting;
 pub mod whole_file;
 
-pub use exporter::{CertificateEnds, Exporter, MetricsArgs, MetricsError};
+pub use exporter::{Exporter, MetricsArgs, MetricsError};
 pub use logging::{LogArgs, LogFormat, LogGuard};
 pub use page::{Histogram, Page};
 pub use signals::EndArgs;

@@ -20,7 +20,7 @@ use heliostat_room::room::SimulatedRoom;
 use heliostat_scenario::{Scenario, Streams};
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::printable::printable;
-use heliostat_service::{CertificateEnds, Exporter, Page};
+use heliostat_service::{Exporter, Page};
 
 use crate::array_node::ArrayNode;
 use crate::coverage::Coverage;
@@ -84,9 +84,7 @@ impl Node {
             Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
         };
         let scenario = settings.scenario.clone();
-        let ends =
-            CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
-        let exporter = settings.metrics.open(ends)?;
+        let exporter = settings.metrics.open(settings.bus.certificate_ends())?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             if room.arrays() > 1 {

@@ -198,17 +198,14 @@ fn a_renewal_that_cannot_be_written_leaves_the_old_key_beside_the_old_certificat
 #[test]
 fn the_end_of_the_certificate_of_the_router_is_known_where_the_folder_has_it() {
     let keys = Keys::new();
-    let ends = || {
-        let config = keys.config(AccessRole::Controller);
-        (config.certificate_end(), config.router_certificate_end())
-    };
-    let (own, router) = ends();
-    assert!(own.is_some() && own == router, "they were made together: {own:?}, {router:?}");
+    let ends = || keys.config(AccessRole::Controller).certificate_ends();
+    let both = ends();
+    assert!(both.own.is_some() && both.own == both.router, "they were made together: {both:?}");
     std::fs::remove_file(keys.folder().join("router.key")).expect("a private key");
-    assert_eq!(ends(), (own, router), "its private key is not needed");
+    assert_eq!(ends(), both, "its private key is not needed");
     std::fs::write(keys.folder().join("router.pem"), "damaged").expect("a file");
-    assert_eq!(ends(), (own, None), "the process does not use it, and starts");
-    assert_eq!(config().router_certificate_end(), None, "a session without keys");
+    assert_eq!(ends(), CertificateEnds { router: None, ..both }, "the process does not use it, and starts");
+    assert_eq!(config().certificate_ends(), CertificateEnds::default(), "a session without keys");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
 use heliostat_service::{
-    CertificateEnds, LogArgs, LogFormat, MetricsArgs, Page as MetricsPage, Stop, duration, locks::lock, output, signals,
+    LogArgs, LogFormat, MetricsArgs, Page as MetricsPage, Stop, duration, locks::lock, output, signals,
 };
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
@@ -71,8 +71,7 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(limit) = rights.limit() {
         args.note(limit);
     }
-    let ends = CertificateEnds { own: config.certificate_end(), router: config.router_certificate_end() };
-    let exporter = args.metrics.open(ends)?;
+    let exporter = args.metrics.open(config.certificate_ends())?;
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();

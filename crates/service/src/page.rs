@@ -97,6 +97,11 @@ impl Page {
         self.add(name, help, labels, Value::Gauge(value));
     }
 
+    /// Adds whether something holds at present, as 1 or 0.
+    pub fn flag(&mut self, name: &'static str, help: &'static str, labels: &[(&str, &str)], is_set: bool) {
+        self.gauge(name, help, labels, f64::from(u8::from(is_set)));
+    }
+
     /// Adds a distribution of times in s since the start.
     pub fn histogram(&mut self, name: &'static str, help: &'static str, labels: &[(&str, &str)], value: Histogram) {
         self.add(name, help, labels, Value::Histogram(value));
@@ -121,7 +126,7 @@ impl Page {
     /// Adds for a process with mirrors whether its emergency stop is on the disk.
     pub fn stop_recorded(&mut self, labels: &[(&str, &str)], is_recorded: bool) {
         let help = "1 while the state of the emergency stop is on the disk, 0 after a write that failed";
-        self.gauge("heliostat_stop_recorded", help, labels, f64::from(u8::from(is_recorded)));
+        self.flag("heliostat_stop_recorded", help, labels, is_recorded);
     }
 
     /// Adds for a process with mirrors the state of an array, by its name.

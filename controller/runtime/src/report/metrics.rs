@@ -4,15 +4,18 @@ use heliostat_core::{core::Stage, tenure::TenureEvent};
 use heliostat_proto::{NodeStatus, gauges::ServedLight, messages::fault};
 use heliostat_service::{Histogram, Page};
 
-use super::summary::RoomReport;
+use super::{stage_times::StageTimes, summary::RoomReport};
 
 /// The page of all rooms.
 pub fn page(rooms: &[RoomReport<'_>]) -> Page {
     let mut page = Page::default();
-    rooms.iter().for_each(|room| add_room(&mut page, room));
+    for room in rooms {
+        page.set_common(&[("room", room.room.name())]);
+        add_room(&mut page, room);
+    }
     // What follows is of the process, such as the end of its certificate. Keys are for one room.
-    if let [only] = rooms {
-        page.set_common(&[("room", only.room.name())]);
+    if rooms.len() > 1 {
+        page.set_common(&[]);
     }
     page.build_info("controller", env!("CARGO_PKG_VERSION"));
     page
@@ -20,14 +23,12 @@ pub fn page(rooms: &[RoomReport<'_>]) -> Page {
 
 fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     let summary = report.summary;
-    let room = ("room", report.room.name());
-    let policy = [room, ("policy", summary.policy.as_str())];
+    let policy = [("policy", summary.policy.as_str())];
     page.gauge("heliostat_policy_info", "Name of the policy in use; the value is always 1", &policy, 1.0);
     let source = format!("{:016x}", report.source);
-    let controller = [room, ("source", source.as_str()), ("host", report.host)];
+    let controller = [("source", source.as_str()), ("host", report.host)];
     let help = "Source id and host of the controller, as the page shows them; the value is always 1";
     page.gauge("heliostat_controller_info", help, &controller, 1.0);
-    page.gauge("heliostat_epoch", "Epoch of the commands", &[room], summary.epoch as f64);
     for (name, help, value) in [
         (
             "heliostat_decisions",
@@ -48,131 +49,122 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         ),
         ("heliostat_room_sources", "Sources that owned the room, in succession", summary.sources),
     ] {
-        page.counter(name, help, &[room], value);
+        page.counter(name, help, &[], value);
     }
-    add_times(page, report);
-    for (name, help, counts) in [
-        ("heliostat_fallbacks", NodeStatus::FALLBACKS_MEANING, &summary.fallbacks),
-        ("heliostat_withheld", NodeStatus::WITHHELD_MEANING, &summary.withheld),
+    for (name, help, value) in [
+        ("heliostat_epoch", "Epoch of the commands", summary.epoch),
+        (
+            "heliostat_controller_peers",
+            "Other controllers in the room from which statuses arrive, and calibrations; 16 at most",
+            summary.peers,
+        ),
+        ("heliostat_trackers", "Trackers and simulators in the room, by their liveliness tokens", summary.trackers),
+        (
+            "heliostat_stops_held",
+            "Emergency stops that withhold commands, also for arrays that do not report; a stop of several arrays counts for each",
+            summary.stops_held,
+        ),
     ] {
-        for (cause, count) in counts {
-            page.counter(name, help, &[room, ("cause", cause.as_str())], *count);
+        page.gauge(name, help, &[], value as f64);
+    }
+    for (name, help, is_set) in [
+        ("heliostat_standby", "1 while the array follows another controller", summary.standby),
+        ("heliostat_array_unfit", "1 while the array does not fit the scenario", summary.unfit.is_some()),
+        ("heliostat_driver_absent", "1 while no driver receives the commands to an array", summary.driver_absent),
+        (
+            "heliostat_geometry_differs",
+            "1 while the room announces another geometry, unless a calibration explains it",
+            summary.geometry_differs,
+        ),
+    ] {
+        page.flag(name, help, &[], is_set);
+    }
+    add_times(page, report.times);
+    for (name, help, label, counts) in [
+        ("heliostat_fallbacks", NodeStatus::FALLBACKS_MEANING, "cause", &summary.fallbacks),
+        ("heliostat_withheld", NodeStatus::WITHHELD_MEANING, "cause", &summary.withheld),
+        (
+            "heliostat_users_limited",
+            "Users without a measured gain or beyond the policy's capacity, one for each decision",
+            "reason",
+            &summary.users,
+        ),
+        (
+            "heliostat_reports_missed",
+            "Reports that did not arrive, by the gaps in their sequence numbers",
+            "stream",
+            &summary.missed,
+        ),
+    ] {
+        for (of, count) in counts {
+            page.counter(name, help, &[(label, of.as_str())], *count);
         }
     }
     for (name, count) in &summary.refused {
         let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
-        let labels = [room, ("stream", stream), ("reason", reason)];
+        let labels = [("stream", stream), ("reason", reason)];
         page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
     }
-    let standby = f64::from(u8::from(summary.standby));
-    page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
-    page.gauge(
-        "heliostat_controller_peers",
-        "Other controllers in the room from which statuses arrive, and calibrations; 16 at most",
-        &[room],
-        summary.peers as f64,
-    );
-    page.gauge(
-        "heliostat_trackers",
-        "Trackers and simulators in the room, by their liveliness tokens",
-        &[room],
-        summary.trackers as f64,
-    );
-    page.gauge(
-        "heliostat_stops_held",
-        "Emergency stops that withhold commands, also for arrays that do not report; a stop of several arrays counts for each",
-        &[room],
-        summary.stops_held as f64,
-    );
-    let unfit = f64::from(u8::from(summary.unfit.is_some()));
-    page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
-    let absent = f64::from(u8::from(summary.driver_absent));
-    page.gauge("heliostat_driver_absent", "1 while no driver receives the commands to an array", &[room], absent);
-    let differs = f64::from(u8::from(summary.geometry_differs));
-    page.gauge(
-        "heliostat_geometry_differs",
-        "1 while the room announces another geometry, unless a calibration explains it",
-        &[room],
-        differs,
-    );
     // Each from 0: the increase of a counter that begins at its first event does not show that event.
     for event in TenureEvent::ALL.map(TenureEvent::name) {
         let count = summary.epoch_events.get(event).copied().unwrap_or_default();
         let help = "Changes of the epoch or of the standby, by kind";
-        page.counter("heliostat_epoch_events", help, &[room, ("event", event)], count);
-    }
-    for (reason, count) in &summary.users {
-        let help = "Users without a measured gain or beyond the policy's capacity, one for each decision";
-        page.counter("heliostat_users_limited", help, &[room, ("reason", reason.as_str())], *count);
-    }
-    for (stream, count) in &summary.missed {
-        let help = "Reports that did not arrive, by the gaps in their sequence numbers";
-        page.counter("heliostat_reports_missed", help, &[room, ("stream", stream.as_str())], *count);
+        page.counter("heliostat_epoch_events", help, &[("event", event)], count);
     }
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
         let help = "Axis angles changed by a limit of range or slew rate";
-        page.counter("heliostat_angles_limited", help, &[room, ("by", by)], count);
+        page.counter("heliostat_angles_limited", help, &[("by", by)], count);
     }
     if let Some(belief) = &summary.belief {
         let help = "Positions in reports that were compared with the belief's predictions";
-        page.counter("heliostat_belief_reports", help, &[room], belief.reports);
+        page.counter("heliostat_belief_reports", help, &[], belief.reports);
         let help =
             "Mean normalised innovation squared of these positions since the start; 2 if the covariance is right";
-        page.gauge("heliostat_belief_innovation_mean", help, &[room], belief.innovation_mean);
+        page.gauge("heliostat_belief_innovation_mean", help, &[], belief.innovation_mean);
     }
     if let Some(noise) = summary.belief.and_then(|belief| belief.noise) {
         for (by, position_m, velocity_m_s) in [
             ("belief", noise.position_m, noise.velocity_m_s),
             ("scenario", noise.position_stated_m, noise.velocity_stated_m_s),
         ] {
-            let labels = [room, ("by", by)];
             let help = "Standard deviation of a reported coordinate: learned by the belief, stated by the scenario";
-            page.gauge("heliostat_tracker_position_noise_metres", help, &labels, position_m);
+            page.gauge("heliostat_tracker_position_noise_metres", help, &[("by", by)], position_m);
             let help = "Standard deviation of a reported velocity component: learned, stated";
-            page.gauge("heliostat_tracker_velocity_noise_metres_per_second", help, &labels, velocity_m_s);
+            page.gauge("heliostat_tracker_velocity_noise_metres_per_second", help, &[("by", by)], velocity_m_s);
         }
     }
     for ServedLight { of, ratio, off_since_s } in &summary.light {
-        let labels = [room, ("of", of.as_str())];
+        let labels = [("of", of.as_str())];
         let help = "Median of the measured light of served users relative to the expected one";
         page.gauge("heliostat_light_ratio", help, &labels, *ratio);
-        let off = f64::from(u8::from(off_since_s.is_some()));
-        page.gauge("heliostat_light_off", "1 while it is not the expected light", &labels, off);
+        page.flag("heliostat_light_off", "1 while it is not the expected light", &labels, off_since_s.is_some());
     }
     for array in &summary.arrays {
         let help = "Of several arrays: 1 while the array receives the commands of this controller";
-        let commanded = f64::from(u8::from(array.commanded));
-        page.gauge("heliostat_array_commanded", help, &[room, ("array", array.name.as_str())], commanded);
+        page.flag("heliostat_array_commanded", help, &[("array", array.name.as_str())], array.commanded);
     }
     if let Some(array) = &summary.array {
         for (bit, name) in fault::NAMES {
-            let value = f64::from(u8::from(array.faults & bit != 0));
             let help = "1 while the array reports this fault";
-            page.gauge("heliostat_array_fault", help, &[room, ("fault", name)], value);
+            page.flag("heliostat_array_fault", help, &[("fault", name)], array.faults & bit != 0);
         }
-        let (unusable, refused) = (array.unusable as f64, array.refused);
-        page.gauge("heliostat_array_unusable_mirrors", "Mirrors that do not follow commands", &[room], unusable);
-        page.counter(
-            "heliostat_array_refused",
-            "Commands that the array has refused since its start",
-            &[room],
-            refused,
-        );
+        let unusable = array.unusable as f64;
+        page.gauge("heliostat_array_unusable_mirrors", "Mirrors that do not follow commands", &[], unusable);
+        let help = "Commands that the array has refused since its start";
+        page.counter("heliostat_array_refused", help, &[], array.refused);
     }
 }
 
-fn add_times(page: &mut Page, report: &RoomReport<'_>) {
-    let (room, times) = (("room", report.room.name()), report.times);
+fn add_times(page: &mut Page, times: &StageTimes) {
     let help = "From the arrival of a position report to the end of the command's publication";
-    page.histogram("heliostat_decision_seconds", help, &[room], Histogram::of_ns(times.decision()));
+    page.histogram("heliostat_decision_seconds", help, &[], Histogram::of_ns(times.decision()));
     let help = "From the measurement of the positions to the decision";
-    page.histogram("heliostat_information_age_seconds", help, &[room], Histogram::of_ns(times.age()));
+    page.histogram("heliostat_information_age_seconds", help, &[], Histogram::of_ns(times.age()));
     for stage in Stage::ALL {
-        let (named, caused) = ([room, ("stage", stage.name())], [room, ("cause", stage.name())]);
-        let help = "Duration of one stage of a decision";
-        page.histogram("heliostat_stage_seconds", help, &named, Histogram::of_ns(times.stage(stage)));
+        let (times_of, name) = (Histogram::of_ns(times.stage(stage)), stage.name());
+        page.histogram("heliostat_stage_seconds", "Duration of one stage of a decision", &[("stage", name)], times_of);
         let help = "Decisions longer than 0.5 ms, by their longest stage";
-        page.counter("heliostat_decision_misses", help, &caused, times.over_budget_by(stage));
+        page.counter("heliostat_decision_misses", help, &[("cause", name)], times.over_budget_by(stage));
     }
 }
 
@@ -182,7 +174,7 @@ mod tests {
 
     use heliostat_proto::Room;
 
-    use super::super::stage_times::{PolicyTimes, StageTimes};
+    use super::super::stage_times::PolicyTimes;
     use super::super::summary::Summary;
     use super::*;
 

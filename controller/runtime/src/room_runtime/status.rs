@@ -1,6 +1,7 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 mod describe;
+mod problem;
 
 use std::time::Duration;
 
@@ -21,6 +22,8 @@ use crate::report::{
 use describe::{
     describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal, with_pause,
 };
+use problem::NewestProblem;
+pub use problem::{Problem, Subject};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller, or restart one that hangs";
@@ -70,26 +73,8 @@ pub struct Reporter {
     is_ending: bool,
     /// The longest recent pause of this process.
     pause: Option<Duration>,
-    /// The newest problem since something kept commands from the mirrors, and what it is about.
-    newest: (Subject, String),
-}
-
-/// What a problem is about: its end clears no other one.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Subject {
-    /// Whether the array fits the scenario.
-    Fit,
-    Driver,
-    Stops,
-    /// Whether this controller leads, and under which epoch.
-    Tenure,
-    Geometry,
-    /// The light of the mirrors, or of an LED.
-    Light(String),
-    /// Another controller.
-    Peer(u64),
-    #[default]
-    Other,
+    /// Since something kept commands from the mirrors.
+    newest: NewestProblem,
 }
 
 /// What is wrong in the room outside the decision loop.
@@ -107,40 +92,6 @@ pub struct Conditions {
     pub silent_peers: Vec<u64>,
     /// Whether no other controller is there, although there was one.
     pub standby_missing: bool,
-}
-
-/// What went wrong since the last status.
-pub enum Problem {
-    /// The array receives no commands, or another sender interferes.
-    Alarm(String),
-    /// Anything else.
-    Warning(String),
-    /// What lasts and is expected: the status has it, and the log has it as information.
-    Notice(String),
-    /// What has happened and is over: the log has it as a warning, and the status has no problem.
-    Event(String),
-    /// The end of a lasting one, or information.
-    End(String),
-}
-
-impl Problem {
-    /// Its text.
-    pub fn text(&self) -> &str {
-        match self {
-            Self::Alarm(text) | Self::Warning(text) | Self::Notice(text) | Self::Event(text) | Self::End(text) => text,
-        }
-    }
-
-    /// The same with another text.
-    fn map(self, change: impl FnOnce(String) -> String) -> Self {
-        match self {
-            Self::Alarm(text) => Self::Alarm(change(text)),
-            Self::Warning(text) => Self::Warning(change(text)),
-            Self::Notice(text) => Self::Notice(change(text)),
-            Self::Event(text) => Self::Event(change(text)),
-            Self::End(text) => Self::End(change(text)),
-        }
-    }
 }
 
 /// A copy of the counters, taken while the decision loop is locked.
@@ -227,8 +178,8 @@ impl Reporter {
             Some(unfit) => no_commands(unfit),
             None if !without_driver.is_empty() => self.no_driver(arrays),
             None if !self.stops.is_empty() => self.stops.clone(),
-            None if self.newest.1.is_empty() => self.conditions.geometry.clone().unwrap_or_default(),
-            None => self.newest.1.clone(),
+            None if self.newest.text().is_empty() => self.conditions.geometry.clone().unwrap_or_default(),
+            None => self.newest.text().to_owned(),
         }
     }
 
@@ -236,17 +187,9 @@ impl Reporter {
     /// returns afterwards.
     fn keep(&mut self, problem: Option<&(Subject, Problem)>) {
         if self.unfit.is_some() || !self.conditions.without_driver.is_empty() || !self.stops.is_empty() {
-            self.newest = Default::default();
-            return;
-        }
-        match problem {
-            Some((subject, Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text))) => {
-                self.newest = (subject.clone(), text.clone());
-            }
-            Some((subject, Problem::Event(_) | Problem::End(_))) if *subject == self.newest.0 => {
-                self.newest = Default::default();
-            }
-            Some((_, Problem::Event(_) | Problem::End(_))) | None => {}
+            self.newest = NewestProblem::default();
+        } else {
+            problem.into_iter().for_each(|problem| self.newest.handle(problem));
         }
     }
 

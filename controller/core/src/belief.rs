@@ -57,6 +57,7 @@ use heliostat_channel::{Body, ChannelModel, Vec3, blockage::Cylinder, mirrors::M
 use heliostat_proto::{ChannelReport, LedReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
 
+use crate::observe::slots::entry_of;
 use angle_history::AngleHistory;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
@@ -195,7 +196,7 @@ impl Belief {
         if only_direct {
             // Only the direct paths can show anything.
             for (user, track) in self.tracks.present_mut().iter_mut().enumerate() {
-                if let Some(measured) = track.measured(user, report) {
+                if let Some(measured) = entry_of(&report.users, user, track.user, |entry| entry.user) {
                     track.covered.predict();
                     track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
@@ -224,7 +225,7 @@ impl Belief {
         }));
         let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
         for (user, track) in tracks.iter_mut().enumerate() {
-            let Some(measured) = track.measured(user, report) else { continue };
+            let Some(measured) = entry_of(&report.users, user, track.user, |entry| entry.user) else { continue };
             let (los, irs) = (f64::from(measured.los_gain), f64::from(measured.irs_gain));
             let measured = MeasuredGains { los, irs, leds: led_readings.of(leds, track.user) };
             let [u, v] = track.motion.estimate(0.0).velocity_m_s;

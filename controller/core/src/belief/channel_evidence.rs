@@ -221,9 +221,8 @@ impl ChannelEvidence {
         map: &mut Occupancy,
     ) {
         self.shares.fill(0.0);
-        let columns = self.columns.len();
         for (index, probability) in possible(heading) {
-            let row = &self.by_heading[index * columns..][..columns];
+            let row = &self.by_heading[index * self.columns.len()..];
             self.shares.iter_mut().zip(row).for_each(|(share, gain)| *share += probability * gain);
         }
         let expected: f64 = self.shares.iter().sum();
@@ -259,18 +258,25 @@ impl ChannelEvidence {
     /// Variance of the gain over the mirrors relative to the `expected` one, by what is unknown of the
     /// heading and of the angles at which the device is held.
     fn variance_by_heading(&self, heading: &Heading, expected: f64) -> f64 {
-        let columns = self.columns.len();
         let of = |(index, probability): (usize, f64)| {
-            let gain: f64 = self.by_heading[index * columns..][..columns].iter().sum();
-            probability * ((gain - expected).powi(2) + self.held_variance[index])
+            probability * ((self.reflected(index) - expected).powi(2) + self.held_variance[index])
         };
         heading.possible().map(of).sum::<f64>() / expected.powi(2)
     }
 
-    /// The expected gain of a user over the mirrors past unreported obstacles, at a heading.
+    /// The gain over each column at a heading.
+    fn row(&self, heading: usize) -> &[f64] {
+        &self.by_heading[heading * self.columns.len()..][..self.columns.len()]
+    }
+
+    /// The gain over all mirrors at a heading.
+    fn reflected(&self, heading: usize) -> f64 {
+        self.row(heading).iter().sum()
+    }
+
+    /// The same past unreported obstacles.
     fn past_obstacles(&self, heading: usize) -> f64 {
-        let sums = &self.by_heading[heading * self.columns.len()..][..self.columns.len()];
-        sums.iter().zip(&self.unobstructed).map(|(sum, clear)| sum * clear).sum()
+        self.row(heading).iter().zip(&self.unobstructed).map(|(sum, clear)| sum * clear).sum()
     }
 
     /// The lit LED with the most light for the selected user over the mirrors, of the receiver as evaluated

@@ -45,13 +45,9 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         let of = |because| Condition { method: method.into(), because, consequence: consequence.into() };
         found.extend(because.map(of));
     };
-    let (streams, age_max_ms) = (&scenario.streams, scenario.control.report_age_max_ms);
-    let positions_ms = streams.positions.latency_ms;
-    let too_late =
-        || format!("streams.positions.latency_ms = {positions_ms}, above control.report_age_max_ms = {age_max_ms}");
     add(
         "any decision",
-        (positions_ms > age_max_ms).then(too_late),
+        ages::refused_positions(scenario),
         "every position report is too old and no command is sent; raise control.report_age_max_ms",
     );
     add(
@@ -140,7 +136,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         tilted().find_map(|(key, held)| wider_spread(key, held)),
         "expected gains and headings count as more certain than they are, so ratios are lower; report orientations",
     );
-    let (channel, direct) = (&streams.channel, largest_direct_gain(scenario, model));
+    let (channel, direct) = (&scenario.streams.channel, largest_direct_gain(scenario, model));
     let noise = channel.noise_relative;
     add(
         "the likelihood of measured direct gains",

@@ -1,7 +1,7 @@
 //! What is remembered of one user.
 
 use heliostat_channel::Vec3;
-use heliostat_proto::{ChannelReport, Nanos, UserChannel, UserState};
+use heliostat_proto::{Nanos, UserState};
 use heliostat_scenario::Walk;
 use serde::{Deserialize, Serialize};
 
@@ -70,12 +70,6 @@ impl Track {
         let speed = u.hypot(v);
         let held = posture.held(self.device.lean(time_ns, speed, settings), speed);
         HeldPlace { position, held, heading }
-    }
-
-    /// The entry of this user in a channel report; `slot` is the likely index.
-    pub fn measured<'a>(&self, slot: usize, report: &'a ChannelReport) -> Option<&'a UserChannel> {
-        let same_slot = report.users.get(slot).filter(|entry| entry.user == self.user);
-        same_slot.or_else(|| report.users.iter().find(|entry| entry.user == self.user))
     }
 
     /// The square of the deviation of the middle one of three reports from the line through the others,

@@ -35,7 +35,11 @@ use heliostat_scenario::{self as scenario, Scenario, WALKING_M_S};
 use crate::{
     belief::{Belief, Estimate, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
-    observe::{lead::Lead, observation::Observation, slots::Slots},
+    observe::{
+        lead::Lead,
+        observation::Observation,
+        slots::{Slots, entry_of},
+    },
 };
 
 /// A velocity of more standard deviations than this shows the heading better than a distribution in
@@ -225,8 +229,7 @@ impl Observer {
         self.forced.resize(into.users(), false);
         self.orientations.clear();
         for (slot, id) in into.ids.iter().enumerate() {
-            let same_place = report.users.get(slot).filter(|user| user.user == *id);
-            let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
+            let Some(user) = entry_of(&report.users, slot, *id, |user| user.user) else { continue };
             let estimate = self.estimate(*id, age_s);
             let (position, velocity) = match &estimate {
                 Some(estimate) => (estimate.position, estimate.velocity),
@@ -295,8 +298,7 @@ impl Observer {
         self.los_gain.extend_from_slice(into.scene.los_gain());
         let mut unmeasured = 0;
         for (slot, (id, gain)) in self.slots.ids().iter().zip(&mut self.los_gain).enumerate() {
-            let same_place = channel.users.get(slot).filter(|entry| entry.user == *id);
-            match same_place.or_else(|| channel.users.iter().find(|entry| entry.user == *id)) {
+            match entry_of(&channel.users, slot, *id, |entry| entry.user) {
                 Some(entry) if f64::from(entry.los_gain) > self.detectable_gain => *gain = f64::from(entry.los_gain),
                 Some(_) => *gain = 0.0,
                 None => unmeasured += 1,

@@ -91,6 +91,12 @@ impl Slots {
     }
 }
 
+/// The entry of a user in a report; `slot` is its likely index.
+pub(crate) fn entry_of<T>(entries: &[T], slot: usize, user: u32, user_of: impl Fn(&T) -> u32) -> Option<&T> {
+    let is_of_user = |entry: &&T| user_of(entry) == user;
+    entries.get(slot).filter(is_of_user).or_else(|| entries.iter().find(is_of_user))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -163,6 +163,11 @@ impl ActorInfo {
         &self.origin
     }
 
+    /// The refusal of this actor.
+    pub(super) fn refused(&self, problem: ActorProblem) -> ActorError {
+        ActorError { origin: self.origin.clone(), problem }
+    }
+
     /// A metadata entry.
     pub fn entry(&self, key: &str) -> Option<&str> {
         self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
@@ -180,8 +185,7 @@ impl ActorInfo {
     /// [`ActorProblem::Unfit`] with the first difference.
     pub fn check_fits(&self, scenario: &Scenario) -> Result<(), ActorError> {
         let unfit = |what, found: String, expected: String, advice| {
-            let problem = ActorProblem::Unfit { what, found, expected, advice };
-            Err(ActorError { origin: self.origin.clone(), problem })
+            Err(self.refused(ActorProblem::Unfit { what, found, expected, advice }))
         };
         let train = "train an actor for this scenario with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
         if self.observation_version != OBSERVATION_VERSION {

@@ -20,11 +20,9 @@ impl ChannelEvidence {
     /// Unreported obstacles are left out: the map takes mirrors that are out of place for obstacles, and
     /// would explain their loss.
     pub(super) fn received(&self, user: usize, heading: Option<&Heading>, measured: MeasuredGains<'_>) -> Received {
-        let columns = self.columns.len();
-        let reflected = |index: usize| self.by_heading[index * columns..][..columns].iter().sum::<f64>();
-        let expected: f64 = possible(heading).map(|(index, probability)| probability * reflected(index)).sum();
-        let variance: f64 =
-            possible(heading).map(|(index, probability)| probability * (reflected(index) - expected).powi(2)).sum();
+        let expected: f64 = possible(heading).map(|(index, probability)| probability * self.reflected(index)).sum();
+        let squared = |index: usize| (self.reflected(index) - expected).powi(2);
+        let variance: f64 = possible(heading).map(|(index, probability)| probability * squared(index)).sum();
         let (likely, _) = possible(heading).fold((0, 0.0), |best, entry| if entry.1 > best.1 { entry } else { best });
         let led = self.served_by[likely];
         let is_served = expected > SERVED * self.expected.steering(led) && variance < (SPREAD * expected).powi(2);

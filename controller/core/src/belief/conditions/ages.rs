@@ -11,19 +11,23 @@ const ROUNDING: f64 = 1e-9;
 /// The stream of orientation reports; `None` where there is none, or where the controller refuses each report because
 /// it is too old at its arrival.
 pub(super) fn accepted_orientations(scenario: &Scenario) -> Option<&OrientationStream> {
-    let is_accepted = |latency_ms: f64| latency_ms <= scenario.control.report_age_max_ms;
-    scenario.streams.orientation.as_ref().filter(|stream| is_accepted(stream.latency_ms))
+    scenario.streams.orientation.as_ref().filter(|_| refused_orientations(scenario).is_none())
 }
 
 /// The keys by which each orientation report is too old at its arrival.
 pub(super) fn refused_orientations(scenario: &Scenario) -> Option<String> {
-    let stream = scenario.streams.orientation.as_ref()?;
-    accepted_orientations(scenario).is_none().then(|| {
-        format!(
-            "streams.orientation.latency_ms = {}, above control.report_age_max_ms = {}",
-            stream.latency_ms, scenario.control.report_age_max_ms
-        )
-    })
+    refused(scenario, "orientation", scenario.streams.orientation.as_ref()?.latency_ms)
+}
+
+/// The keys by which each position report is too old at its arrival.
+pub(super) fn refused_positions(scenario: &Scenario) -> Option<String> {
+    refused(scenario, "positions", scenario.streams.positions.latency_ms)
+}
+
+fn refused(scenario: &Scenario, stream: &str, latency_ms: f64) -> Option<String> {
+    let age_max_ms = scenario.control.report_age_max_ms;
+    let keys = || format!("streams.{stream}.latency_ms = {latency_ms}, above control.report_age_max_ms = {age_max_ms}");
+    (latency_ms > age_max_ms).then(keys)
 }
 
 /// The keys by which an accepted orientation report is too old before the next one arrives. The filter keeps what it

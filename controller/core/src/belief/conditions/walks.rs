@@ -56,7 +56,7 @@ pub(super) fn too_fast(scenario: &Scenario) -> Option<String> {
 /// compared with the shortest side of a mirror, whose light is wider, and with the noise of the reports.
 pub(super) fn too_far_ahead(scenario: &Scenario) -> Option<String> {
     let (positions, control) = (&scenario.streams.positions, &scenario.control);
-    if positions.latency_ms > control.report_age_max_ms {
+    if super::ages::refused_positions(scenario).is_some() {
         return None;
     }
     let lead_s = Lead::new(1.0 / positions.rate_hz).ahead_s(1e-3 * positions.latency_ms);

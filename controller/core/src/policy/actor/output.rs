@@ -37,8 +37,7 @@ impl Output {
             ActionKind::Weights(head) => Self::Weights(head, Vec::with_capacity(info.users_max)),
             ActionKind::Codebook => {
                 let no_channel = |error: heliostat_channel::ChannelError| {
-                    let message = format!("the room has no codebook: {error}");
-                    ActorError { origin: info.origin().into(), problem: ActorProblem::Engine { message } }
+                    info.refused(ActorProblem::Engine { message: format!("the room has no codebook: {error}") })
                 };
                 let model = scenario.channel_model().map_err(no_channel)?;
                 Self::Codebook(codewords(scenario, &model))

@@ -108,8 +108,7 @@ impl Trial {
         let origin = actor.info.origin();
         let Self { failures, observations, last_failure, .. } = self;
         if failures == observations {
-            let problem = ActorProblem::NoAngles { failures, example: last_failure };
-            return Err(ActorError { origin: origin.into(), problem });
+            return Err(actor.info.refused(ActorProblem::NoAngles { failures, example: last_failure }));
         }
         let mut findings = Vec::new();
         if !actor.is_verified {

@@ -3,7 +3,7 @@
 use heliostat_onnx::standard::VersionError;
 use thiserror::Error;
 
-use super::{ANGLES, CODEBOOK, WEIGHTS, key, metadata::quoted};
+use super::{ANGLES, CODEBOOK, ObservationKind, WEIGHTS, key, metadata::quoted};
 
 /// Why an actor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -42,8 +42,8 @@ pub enum ActorProblem {
     },
     /// No policy gives the observation.
     #[error(
-        " has the unknown observation {found}, expected \"flat\", \"users\", \"paper\", \"codewords\" or \"cell\": \
-         correct its metadata \"{}\"",
+        " has the unknown observation {found}, expected one of {:?}: correct its metadata \"{}\"",
+        ObservationKind::ALL.map(ObservationKind::name),
         key::OBSERVATION
     )]
     Observation {

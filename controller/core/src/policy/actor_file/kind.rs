@@ -4,7 +4,10 @@ use heliostat_proto::{MAX_USERS, named};
 
 use super::{ANGLES, key};
 use crate::{
-    observe::observation::{ObservationEncoder, Summary, USERS_CAPACITY},
+    observe::{
+        codeword_state::POSITION,
+        observation::{ObservationEncoder, Summary, USERS_CAPACITY},
+    },
     policy::weights::Head,
 };
 
@@ -48,7 +51,7 @@ impl ObservationKind {
             Self::Flat => Columns::Of(vec![ObservationEncoder::new(users_max, mirrors).len()]),
             Self::Users => Columns::Of(vec![Summary::COLUMNS]),
             Self::Paper => Columns::Of(vec![users, users + 2 * mirrors]),
-            Self::Codewords => Columns::Of(vec![users + 4]),
+            Self::Codewords => Columns::Of(vec![users + 2 * POSITION]),
             Self::Cell => Columns::Square,
         }
     }

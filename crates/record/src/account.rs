@@ -4,9 +4,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_proto::Stamp;
 use serde::Serialize;
-
-use crate::received::Origin;
 
 /// Counts for one key.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -35,7 +34,7 @@ pub struct Account {
     pub dropped: u64,
     /// The last number of each source of a key, the source that was heard last at the end.
     #[serde(skip)]
-    last: BTreeMap<String, Vec<Origin>>,
+    last: BTreeMap<String, Vec<Stamp>>,
 }
 
 /// Sources of a key whose last number is kept.
@@ -46,7 +45,7 @@ const SHOWN_MAX: usize = 128;
 
 impl Account {
     /// Counts a payload on a key; `origin` is `None` if the payload could not be decoded.
-    pub fn count(&mut self, key: &str, bytes: usize, origin: Option<Origin>) {
+    pub fn count(&mut self, key: &str, bytes: usize, origin: Option<Stamp>) {
         let stream = entry(&mut self.streams, key);
         stream.messages += 1;
         stream.bytes += bytes as u64;
@@ -126,10 +125,10 @@ mod tests {
         // Joined at 5; 7 and 8 are lost; 9 comes twice; another source begins meanwhile at 1, and its 2
         // to 4 are lost.
         for (source, sequence) in [(1, 5), (1, 6), (2, 1), (1, 9), (1, 9), (2, 5), (1, 8)] {
-            account.count("users", 10, Some(Origin { source, sequence, time_ns: 0 }));
+            account.count("users", 10, Some(Stamp { source, sequence, time_ns: 0 }));
         }
         account.count("users", 3, None);
-        account.count("truth", 1, Some(Origin { source: 1, sequence: 100, time_ns: 0 }));
+        account.count("truth", 1, Some(Stamp { source: 1, sequence: 100, time_ns: 0 }));
         let users = account.streams["users"];
         let expected = StreamAccount { messages: 8, bytes: 73, sources: 2, missing: 5, out_of_order: 2, unreadable: 1 };
         assert_eq!(users, expected);
@@ -141,7 +140,7 @@ mod tests {
         let mut account = Account::default();
         for (source, key) in [(1, "stop".to_owned()), (2, "stop".to_owned()), (1, "k".repeat(70_000))] {
             for sequence in [1, u64::MAX] {
-                account.count(&key, 1, Some(Origin { source, sequence, time_ns: 0 }));
+                account.count(&key, 1, Some(Stamp { source, sequence, time_ns: 0 }));
             }
         }
         assert_eq!((account.streams["stop"].missing, account.missing()), (u64::MAX, u64::MAX));

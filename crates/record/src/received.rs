@@ -4,7 +4,7 @@ use std::fmt;
 
 use heliostat_proto::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
-    ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus,
+    ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, NodeStatus,
     ObstacleReport, OrientationReport, Rearm, Room, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp,
     StopRepetition, StopReport, UserReport, codec::kind_of, decode,
 };
@@ -38,17 +38,6 @@ pub enum Received {
     Memory(ControllerMemory),
     /// Another kind.
     Other(Kind, Stamp),
-}
-
-/// Source, sequence number and time of a message.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Origin {
-    /// The source; for a command, the epoch.
-    pub source: u64,
-    /// Rises by one with each message of the source on its key.
-    pub sequence: u64,
-    /// The time of the content.
-    pub time_ns: Nanos,
 }
 
 /// The payloads of a recording that do not decode.
@@ -96,8 +85,7 @@ impl Received {
             Self::Status(status) => room.status_array(key, status).is_some(),
             _ => expected.is_some(),
         };
-        let Origin { source, sequence, time_ns } = received.origin();
-        Ok(if is_of_key { received } else { Self::Other(found, Stamp { source, sequence, time_ns }) })
+        Ok(if is_of_key { received } else { Self::Other(found, received.origin()) })
     }
 
     fn decoded(kind: Kind, payload: &[u8]) -> Result<Self, CodecError> {
@@ -130,11 +118,11 @@ impl Received {
         }
     }
 
-    /// Source, sequence number and time.
-    pub fn origin(&self) -> Origin {
-        let stamp = match self {
-            Self::Command(command) => {
-                return Origin { source: command.epoch, sequence: command.sequence, time_ns: command.time_ns };
+    /// The stamp; of a command the epoch in place of a source, its number and its time.
+    pub fn origin(&self) -> Stamp {
+        match self {
+            Self::Command(MirrorCommand { epoch, sequence, time_ns, .. }) => {
+                Stamp { source: *epoch, sequence: *sequence, time_ns: *time_ns }
             }
             Self::Users(report) => report.stamp,
             Self::Channel(report) => report.stamp,
@@ -148,8 +136,7 @@ impl Received {
             Self::Belief(belief) => belief.stamp,
             Self::Memory(memory) => memory.stamp,
             Self::Other(_, stamp) => *stamp,
-        };
-        Origin { source: stamp.source, sequence: stamp.sequence, time_ns: stamp.time_ns }
+        }
     }
 }
 

@@ -48,12 +48,15 @@ impl Start {
     }
 }
 
+/// What a live playback changes in a message: the stamp, and the tick of a report that has one.
+type Parts<'a> = (&'a mut Stamp, Option<&'a mut u64>);
+
 impl OutputChannel {
     /// A payload with the time, the source and the tick of the playback; `None` if it cannot be decoded.
     pub fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
         fn moved<T: Message>(payload: &[u8], start: &Start, parts: fn(&mut T) -> Parts<'_>) -> Option<Vec<u8>> {
             let mut message: T = decode(payload).ok()?;
-            let Parts { stamp, tick } = parts(&mut message);
+            let (stamp, tick) = parts(&mut message);
             (stamp.source, stamp.time_ns) = (stamp.source ^ start.salt, start.played_ns(stamp.time_ns));
             if let Some(tick) = tick {
                 *tick = start.played_tick(*tick);
@@ -61,46 +64,19 @@ impl OutputChannel {
             encoded(&message)
         }
         match self {
-            Self::Users => {
-                moved(payload, start, |message: &mut UserReport| Parts::ticked(&mut message.stamp, &mut message.tick))
+            Self::Users => moved::<UserReport>(payload, start, |report| (&mut report.stamp, Some(&mut report.tick))),
+            Self::Channel => {
+                moved::<ChannelReport>(payload, start, |report| (&mut report.stamp, Some(&mut report.tick)))
             }
-            Self::Channel => moved(payload, start, |message: &mut ChannelReport| {
-                Parts::ticked(&mut message.stamp, &mut message.tick)
-            }),
-            Self::Obstacles => moved(payload, start, |message: &mut ObstacleReport| Parts::stamped(&mut message.stamp)),
-            Self::Orientation => {
-                moved(payload, start, |message: &mut OrientationReport| Parts::stamped(&mut message.stamp))
-            }
+            Self::Obstacles => moved::<ObstacleReport>(payload, start, |report| (&mut report.stamp, None)),
+            Self::Orientation => moved::<OrientationReport>(payload, start, |report| (&mut report.stamp, None)),
             Self::Branches => {
-                moved(payload, start, |message: &mut BranchReport| Parts::ticked(&mut message.stamp, &mut message.tick))
+                moved::<BranchReport>(payload, start, |report| (&mut report.stamp, Some(&mut report.tick)))
             }
-            Self::Leds => {
-                moved(payload, start, |message: &mut LedReport| Parts::ticked(&mut message.stamp, &mut message.tick))
-            }
-            Self::Telemetry => {
-                moved(payload, start, |message: &mut MirrorTelemetry| Parts::stamped(&mut message.stamp))
-            }
-            Self::Capabilities => {
-                moved(payload, start, |message: &mut Capabilities| Parts::stamped(&mut message.stamp))
-            }
+            Self::Leds => moved::<LedReport>(payload, start, |report| (&mut report.stamp, Some(&mut report.tick))),
+            Self::Telemetry => moved::<MirrorTelemetry>(payload, start, |report| (&mut report.stamp, None)),
+            Self::Capabilities => moved::<Capabilities>(payload, start, |report| (&mut report.stamp, None)),
         }
-    }
-}
-
-/// The parts of a message that a live playback changes.
-struct Parts<'a> {
-    stamp: &'a mut Stamp,
-    /// The tick of a report that has one.
-    tick: Option<&'a mut u64>,
-}
-
-impl<'a> Parts<'a> {
-    fn stamped(stamp: &'a mut Stamp) -> Self {
-        Self { stamp, tick: None }
-    }
-
-    fn ticked(stamp: &'a mut Stamp, tick: &'a mut u64) -> Self {
-        Self { stamp, tick: Some(tick) }
     }
 }
 

@@ -233,13 +233,13 @@ impl fmt::Display for Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::received::Origin;
+    use heliostat_proto::Stamp;
 
     /// A verdict on a recording that lacks two messages.
     fn verdict() -> Verdict {
         let mut account = Account::default();
         for sequence in [1, 4] {
-            account.count("users", 10, Some(Origin { source: 1, sequence, time_ns: 0 }));
+            account.count("users", 10, Some(Stamp { source: 1, sequence, time_ns: 0 }));
         }
         Verdict { account, same: 5, ..Verdict::default() }
     }

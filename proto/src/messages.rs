@@ -159,9 +159,10 @@ impl ControllerInput {
     /// Number of bits by which the index of an array is shifted in the sequence number of telemetry.
     pub const ARRAY_SHIFT: u32 = 56;
 
-    /// Index of the array, and the sequence number in the stamp, of an input that is telemetry.
-    pub fn of_array(&self) -> (usize, u64) {
-        ((self.sequence >> Self::ARRAY_SHIFT) as usize, self.sequence & ((1 << Self::ARRAY_SHIFT) - 1))
+    /// The sequence number of an input that is telemetry of an array, with this one in its stamp; that of another
+    /// message has the index 0.
+    pub fn sequence_of(array: usize, sequence: u64) -> u64 {
+        sequence.wrapping_add((array as u64) << Self::ARRAY_SHIFT)
     }
 }
 

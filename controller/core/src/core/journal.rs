@@ -29,7 +29,7 @@ impl Journal {
             Stream::Leds => InputKind::Leds,
         };
         let source = stamp.source;
-        let sequence = stamp.sequence.wrapping_add((array as u64) << ControllerInput::ARRAY_SHIFT);
+        let sequence = ControllerInput::sequence_of(array, stamp.sequence);
         self.push(ControllerInput { input, source, sequence, time_ns: now, command: false });
     }
 

@@ -341,8 +341,8 @@ fn the_journal_names_the_arrays_so_that_a_replay_repeats_what_was_withheld() {
     let mut inputs = Vec::new();
     assert!(first.take_inputs(&mut inputs));
     let last = &inputs[inputs.len() - 5..];
-    let of_arrays: Vec<_> = last.iter().filter(|input| input.input == InputKind::Telemetry).collect();
-    assert_eq!(of_arrays.iter().map(|input| input.of_array()).collect::<Vec<_>>(), [(0, 20), (1, 20)]);
+    let of_arrays = last.iter().filter(|input| input.input == InputKind::Telemetry).map(|input| input.sequence);
+    assert_eq!(of_arrays.collect::<Vec<_>>(), [20, ControllerInput::sequence_of(1, 20)]);
     let Some(ControllerInput { sequence: withheld, command: true, .. }) = last.last() else { panic!("{last:?}") };
     assert_eq!(*withheld, 1, "the first array is stopped");
     // A replay that knows of no stop repeats the decision by these bits.

@@ -145,7 +145,7 @@ impl Plan {
                 received.as_ref().and_then(|received| Some((input_of(received)?, received)))
             {
                 let origin = received.origin();
-                let sequence = origin.sequence.wrapping_add((array as u64) << ControllerInput::ARRAY_SHIFT);
+                let sequence = ControllerInput::sequence_of(array, origin.sequence);
                 schedules.add_message(index, input, origin.source, sequence);
             }
             match received {

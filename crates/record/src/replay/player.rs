@@ -234,7 +234,7 @@ impl<'a> Player<'a> {
         let (read, clock) = (self.read, self.plan.clock);
         let received = Received::read(&self.plan.room, &entry.topic, &entry.data);
         let origin = received.map(|received| received.origin()).unwrap_or_default();
-        let sequence = origin.sequence.wrapping_add((input.1 as u64) << ControllerInput::ARRAY_SHIFT);
+        let sequence = ControllerInput::sequence_of(input.1, origin.sequence);
         let offered = Offered { entry: read, input, source: origin.source, sequence, data: entry.data.clone() };
         if let Some(next) = &mut self.next {
             match &mut next.progress {

@@ -203,16 +203,14 @@ fn is_decision(input: InputKind) -> bool {
 
 /// Whether an input of a state is what was handled.
 fn is_of(handled: &Handled, input: &ControllerInput) -> bool {
-    let stamp_of = |topic: Topic, payload: &[u8]| -> Option<(InputKind, u64, Stamp)> {
+    let stamp_of = |topic: Topic, payload: &[u8]| -> Option<(InputKind, usize, Stamp)> {
         Some(match topic {
             Topic::Users => (InputKind::Users, 0, decode::<UserReport>(payload).ok()?.stamp),
             Topic::Channel => (InputKind::Channel, 0, decode::<ChannelReport>(payload).ok()?.stamp),
             Topic::Obstacles => (InputKind::Obstacles, 0, decode::<ObstacleReport>(payload).ok()?.stamp),
             Topic::Orientation => (InputKind::Orientation, 0, decode::<OrientationReport>(payload).ok()?.stamp),
             Topic::Leds => (InputKind::Leds, 0, decode::<LedReport>(payload).ok()?.stamp),
-            Topic::Telemetry(array) => {
-                (InputKind::Telemetry, array as u64, decode::<MirrorTelemetry>(payload).ok()?.stamp)
-            }
+            Topic::Telemetry(array) => (InputKind::Telemetry, array, decode::<MirrorTelemetry>(payload).ok()?.stamp),
             _ => return None,
         })
     };
@@ -222,7 +220,7 @@ fn is_of(handled: &Handled, input: &ControllerInput) -> bool {
     match &handled.input {
         _ if is_decision(input.input) => !input.command || !handled.commands.is_empty(),
         Input::Payload(topic, payload) => stamp_of(*topic, payload).is_some_and(|(kind, array, stamp)| {
-            let sequence = stamp.sequence.wrapping_add(array << ControllerInput::ARRAY_SHIFT);
+            let sequence = ControllerInput::sequence_of(array, stamp.sequence);
             (kind, stamp.source, sequence) == (input.input, input.source, input.sequence)
         }),
         _ => false,

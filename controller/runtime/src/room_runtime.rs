@@ -36,7 +36,7 @@ use anyhow::Context;
 use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
 use heliostat_core::{
     room_core::{Input, Output, Repeater, RoomCore, RoomSettings},
-    tenure::{Standing, Tenure},
+    tenure::{HAND_OVER_NS, Standing, Tenure},
 };
 use heliostat_models::build_tried;
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
@@ -68,7 +68,7 @@ use transport::{LocalArray, Publishers, Transport};
 const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Longest wait of a controller that ends for a standby that takes over.
-const HAND_OVER: Duration = Duration::from_millis(500);
+const HAND_OVER: Duration = Duration::from_nanos(HAND_OVER_NS);
 
 /// A room that is being served.
 pub struct RoomRuntime {

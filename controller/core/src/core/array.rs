@@ -6,11 +6,11 @@ use heliostat_proto::{
     Capabilities, EmergencyStop, LatchedStopReport, Nanos, NodeKind, SafetyReport, StopReport, ValidityClock,
 };
 
-use super::{Controller, array_output::ArrayOutput};
+use super::{
+    Controller,
+    array_output::{ABSENT_AFTER_NS, ArrayOutput},
+};
 use crate::output::{capabilities::Unfit, tenure::Tenure};
-
-/// An array whose last telemetry is older than this is absent.
-const PRESENT_NS: Nanos = 1_000_000_000;
 
 /// An array that publishes stop reports has published one after this time of telemetry.
 const STOPS_WITHIN_NS: Nanos = STOPS_WITHIN.as_nanos() as Nanos;
@@ -109,7 +109,7 @@ impl Controller {
     /// does not, when they would have come.
     pub fn understands_repetitions(&self, now: Nanos, array: usize) -> bool {
         let ArrayOutput { heard_ns, first_heard_ns, guard, .. } = &self.arrays[array];
-        let is_heard = heard_ns.is_some_and(|heard_ns| now.abs_diff(heard_ns) < PRESENT_NS);
+        let is_heard = heard_ns.is_some_and(|heard_ns| now.abs_diff(heard_ns) < ABSENT_AFTER_NS);
         let is_settled = first_heard_ns.is_some_and(|first_ns| now.abs_diff(first_ns) > STOPS_WITHIN_NS);
         guard.stops.has_stop_reports() || !is_heard || !is_settled || self.inbox.telemetry(array).is_none()
     }

@@ -14,9 +14,9 @@ use crate::output::{
     tenure::Tenure,
 };
 
-/// In a room with several arrays, an array is lost after this time without telemetry. Section 4 of
-/// CONTRACT.md requires ten messages a second.
-const LOST_AFTER_NS: Nanos = 1_000_000_000;
+/// An array is absent after this time without telemetry. Section 4 of CONTRACT.md requires ten messages
+/// a second.
+pub(super) const ABSENT_AFTER_NS: Nanos = 1_000_000_000;
 
 /// Messages of a slower telemetry stream that must be missing before the array is lost.
 const LOST_AFTER_MESSAGES: f64 = 3.0;
@@ -62,7 +62,7 @@ impl ArrayOutput {
     pub fn of(scenario: &Scenario, mirrors: &MirrorArrays, epoch: u64) -> Vec<Self> {
         let rate_hz = scenario.streams.telemetry.rate_hz;
         let silence_ns = (LOST_AFTER_MESSAGES * 1e9 / rate_hz) as Nanos;
-        let lost_after_ns = (mirrors.arrays().len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(LOST_AFTER_NS));
+        let lost_after_ns = (mirrors.arrays().len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(ABSENT_AFTER_NS));
         let validity_ms = scenario.control.command_validity_ms();
         let output = |mirrors: Range<usize>| Self {
             mirrors,

@@ -100,6 +100,9 @@ const WATCH_GAP: u64 = 3;
 /// Longest wait of a start for telemetry: twice the longest interval between two messages.
 pub const FIRST_TELEMETRY_NS: Nanos = 200_000_000;
 
+/// Longest time in ns for which a controller that ends commands on, until a standby takes over.
+pub const HAND_OVER_NS: Nanos = 500_000_000;
+
 /// Other controllers that are known.
 const PEERS_MAX: usize = 16;
 

@@ -79,45 +79,30 @@ impl TestSession {
     pub fn start(bus: Bus, array: usize, is_authenticated: bool) -> Result<Self> {
         let received = Arc::new((Mutex::new(Received::default()), Condvar::new()));
         let (room, keys) = (bus.room().clone(), bus.room().array(array));
-        let shared = Arc::clone(&received);
-        let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
-            let mut received = lock(&shared.0);
-            match decode(payload) {
+        let subscribe = |key: String, note: fn(&mut Received, &[u8])| {
+            let shared = Arc::clone(&received);
+            bus.subscribe(&key, move |payload| {
+                note(&mut lock(&shared.0), payload);
+                shared.1.notify_all();
+            })
+        };
+        let subscriptions = vec![
+            subscribe(keys.telemetry(), |received, payload| match decode(payload) {
                 Ok(telemetry) => received.telemetry.push(telemetry),
                 Err(error) => received.undecodable.push(error),
-            }
-            shared.1.notify_all();
-        })?;
-        let shared = Arc::clone(&received);
-        let announced = bus.subscribe(&keys.capabilities(), move |payload| {
-            if let Ok(capabilities) = decode(payload) {
-                lock(&shared.0).capabilities.push(capabilities);
-                shared.1.notify_all();
-            }
-        })?;
-        let shared = Arc::clone(&received);
-        let safety = bus.subscribe(&keys.safety(), move |payload| {
-            if let Ok(safety) = decode(payload) {
-                lock(&shared.0).safety.push(safety);
-                shared.1.notify_all();
-            }
-        })?;
-        let shared = Arc::clone(&received);
-        let stops = bus.subscribe(&keys.stops(), move |payload| {
-            if let Ok(stops) = decode(payload) {
-                lock(&shared.0).stops.push(stops);
-                shared.1.notify_all();
-            }
-        })?;
-        let mut subscriptions = vec![telemetry, announced, safety, stops];
-        let statuses = [(NodeKind::Driver, keys.driver_status()), (NodeKind::SimNode, room.status(NodeKind::SimNode))];
-        for (node, key) in statuses {
-            let shared = Arc::clone(&received);
-            subscriptions.push(bus.subscribe(&key, move |payload| {
-                lock(&shared.0).statuses.push((node, decode(payload)));
-                shared.1.notify_all();
-            })?);
-        }
+            })?,
+            subscribe(keys.capabilities(), |received, payload| {
+                received.capabilities.extend(decode::<Capabilities>(payload));
+            })?,
+            subscribe(keys.safety(), |received, payload| received.safety.extend(decode::<SafetyReport>(payload)))?,
+            subscribe(keys.stops(), |received, payload| received.stops.extend(decode::<StopReport>(payload)))?,
+            subscribe(keys.driver_status(), |received, payload| {
+                received.statuses.push((NodeKind::Driver, decode(payload)));
+            })?,
+            subscribe(room.status(NodeKind::SimNode), |received, payload| {
+                received.statuses.push((NodeKind::SimNode, decode(payload)));
+            })?,
+        ];
         let fetched = fetch(&bus, &keys.capabilities(), ANSWER_TIMEOUT)?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,

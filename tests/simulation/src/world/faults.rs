@@ -1,11 +1,10 @@
 //! What each fault does at its begin and at its end.
 
+use heliostat_core::tenure::HAND_OVER_NS;
+
 use super::{Event, Process, World};
 use crate::clock::MS;
 use crate::plan::{DiskAfterCrash, Fault, PolicyFault, Role, Timed};
-
-/// Longest time for which a controller that ends waits for a standby, in ns.
-const HAND_OVER_NS: u64 = 500 * MS;
 
 /// A standby judges by telemetry that a leader hangs: two messages of the arrays, in ns.
 const HANG_NS: u64 = 100 * MS;

@@ -2,7 +2,7 @@
 
 use heliostat_proto::{ArrayState, EPOCH_SLOTS, MirrorTelemetry, Nanos, named};
 
-use super::{BACK_OFF_MAX, FORGIVEN_NS, TELEMETRY_TIMEOUT_NS};
+use super::{BACK_OFF_MAX, FORGIVEN_NS, HAND_OVER_NS, TELEMETRY_TIMEOUT_NS};
 
 /// Accepted commands after which a contested takeover does not delay the next one.
 const SETTLED: u64 = 8;
@@ -24,8 +24,8 @@ const RESIDENTS_MAX: usize = 16;
 /// Period in ns of the shortest delay of a stream. A delay that stays for two periods is the shortest one.
 const DELAY_PERIOD_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
 
-/// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
-const ENDING_NS: Nanos = 1_000_000_000;
+/// Longest time in ns for which a leader that ends is seen to command on without a token.
+const ENDING_NS: Nanos = 2 * HAND_OVER_NS;
 
 named! {
     /// A change of the standing or of the epoch, or a reason that commands are refused.

@@ -20,11 +20,8 @@ use crate::error::NodeError;
 /// Local time starts after this delay, when all declarations are complete.
 const START_DELAY: Duration = Duration::from_millis(30);
 
-/// Capacity for orders of operators; beyond it new ones are dropped.
-const ORDERS_MAX: usize = 64;
-
-/// Capacity for beliefs of a controller; beyond it new ones are dropped.
-const BELIEFS_MAX: usize = 64;
+/// Capacity for orders of operators, and for beliefs of a controller; beyond it new ones are dropped.
+const WAITING_MAX: usize = 64;
 
 /// A payload on the key of orders.
 type Order = Result<SimulatorControl, CodecError>;
@@ -90,24 +87,8 @@ impl RoomSession {
         let source = source_id::random();
         let claim = Claim::begin(&bus, 0..arrays, source)?;
         let clock = Clock::start_in(START_DELAY);
-        let orders = Arc::new(Mutex::new(Vec::new()));
-        let waiting = Arc::clone(&orders);
-        let control = bus.subscribe(&keys.simulator_control(), move |payload| {
-            let mut waiting = lock(&waiting);
-            if waiting.len() < ORDERS_MAX {
-                waiting.push(decode(payload));
-            }
-        })?;
-        let beliefs = Arc::new(Mutex::new(Vec::new()));
-        let arrived = Arc::clone(&beliefs);
-        let belief = bus.subscribe(&keys.belief(), move |payload| {
-            let mut arrived = lock(&arrived);
-            if let Ok(belief) = decode(payload)
-                && arrived.len() < BELIEFS_MAX
-            {
-                arrived.push(belief);
-            }
-        })?;
+        let (orders, control) = waiting(&bus, &keys.simulator_control(), |payload| Some(decode(payload)))?;
+        let (beliefs, belief) = waiting(&bus, &keys.belief(), |payload| decode(payload).ok())?;
         let stopped = Arc::<Alarm>::default();
         let arrays: Vec<ArraySession> =
             (0..arrays).map(|array| ArraySession::open(&bus, array, clock, telemetry)).collect::<Result<_, _>>()?;
@@ -230,4 +211,21 @@ impl RoomSession {
     pub fn close(self) -> Result<(), NodeError> {
         Ok(self.bus.close()?)
     }
+}
+
+/// Those of the messages under a key that wait, and their subscription.
+fn waiting<T: Send + 'static>(
+    bus: &Bus,
+    key: &str,
+    read: fn(&[u8]) -> Option<T>,
+) -> Result<(Arc<Mutex<Vec<T>>>, Subscription), NodeError> {
+    let messages = Arc::new(Mutex::new(Vec::new()));
+    let arrived = Arc::clone(&messages);
+    let subscription = bus.subscribe(key, move |payload| {
+        let mut arrived = lock(&arrived);
+        if arrived.len() < WAITING_MAX {
+            arrived.extend(read(payload));
+        }
+    })?;
+    Ok((messages, subscription))
 }

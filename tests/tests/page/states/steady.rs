@@ -85,6 +85,33 @@ fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
 
 #[needs("browser")]
 #[test]
+fn users_who_come_or_go_move_no_order_and_disable_the_buttons_of_absent_users() {
+    let (_setting, browser) = Setting::shown();
+    // The places of all orders and the enabled choices with 2, 9 and 3 users. In one step, before the next figures.
+    let script = "return Promise.all([import('/orders.js'), ...['room', 'events'].map((name) => fetch(`/${name}.json`).then((answer) => answer.json()))]) \
+           .then(([{ Orders }, plan, { figures }]) => { \
+             const orders = new Orders(); \
+             orders.open(plan); \
+             return [2, 9, 3].map((count) => { \
+               orders.update({ ...figures, users: Array.from({ length: count }, (_, user) => ({ ...figures.users[0], user })) }); \
+               const places = [...document.querySelectorAll('#operate :is(button, select)')].map((part) => { \
+                 const { left, top } = part.getBoundingClientRect(); return [left, top]; }); \
+               return [places, document.querySelectorAll('#blocked button:enabled').length]; }); })";
+    for (width, height) in [(390, 844), (1024, 768), (1280, 800), (1920, 1080)] {
+        browser.resize(width, height);
+        let found: [(Vec<[f64; 2]>, usize); 3] = serde_json::from_value(browser.run(script)).expect("places");
+        let [(few, of_few), (many, of_many), (again, of_again)] = found;
+        assert!(are_kept(&few, &many) && are_kept(&many, &again), "{width} x {height}: {few:?} {many:?} {again:?}");
+        assert_eq!([of_few, of_many, of_again], [3, 9, 4], "{width} x {height}");
+    }
+    let reasons =
+        "return import('/orders.js').then(({ tooFew }) => [tooFew(2, 2), tooFew(1, 0), tooFew(2, 1), tooFew(8, 5)])";
+    let expected = ["", "no user is in the room", "only 1 user is in the room", "only 5 users are in the room"];
+    assert_eq!(browser.run(reasons), json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_line_of_events_is_complete_in_view_below_warnings() {
     let (mut setting, browser) = Setting::shown();
     setting.room.kill();

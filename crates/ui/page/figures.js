@@ -41,19 +41,17 @@ export function chips(now, ages, file) {
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
   else chip("chip-array", array, now.array.state === "following" && !stuck ? "good" : "bad", stuck ? `${array} of ${now.array.mirrors} mirrors` : array);
   if (ages.isStale("room")) chip("chip-room", silent("room"), "bad");
-  else chip("chip-room", now.origin === "measured" ? "real" : now.origin);
+  else chip("chip-room", now.origin);
 }
 
 // The users of the table with their rates. Without the mirrors they are those of the frame that the picture shows, so
 // that direct path, rate and picture are of one report. With the mirrors, a rate with a share of the oracle's is that of
 // the instant of the share.
 function rated(now, shown, frame) {
-  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? rateOf(user) : null }));
+  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.compared_mbps ?? user.rate_mbps : null }));
   if (!frame) return now.users.map((user) => ({ ...user, rate: null }));
   return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
 }
-
-const rateOf = ({ rate_mbps, oracle_mbps, share_of_oracle }) => (share_of_oracle == null ? rate_mbps : share_of_oracle * oracle_mbps);
 
 // The sum rates. Without the mirrors, that without them is of the frame of the table, so that its rates add up to it; the
 // report of the other sums may be an earlier or a later one.

@@ -73,7 +73,7 @@ impl EventLog {
         let last = self.events.back().cloned();
         let origin = match figures.origin {
             Origin::Simulated => "simulated",
-            Origin::Measured => "real",
+            Origin::Real => "real",
             Origin::NoData => NO_REPORT,
         };
         self.change(at_ms, "room", origin, figures.origin == Origin::NoData);

@@ -151,7 +151,7 @@ fn a_disabled_order_has_its_own_reason() {
     let script = "return import('/orders.js').then(({ reasons }) => { \
            const of = (plan, now, policy = 'greedy') => Object.values(reasons(plan, { origin: 'simulated', controller_alive: true, ...now }, policy)); \
            const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
-           return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'measured' }), \
+           return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'real' }), \
              of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
     let absent = "no controller is in the room";
     let foreign = "only `heliostat demo` can kill or restart the processes that it started";

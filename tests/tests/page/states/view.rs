@@ -125,7 +125,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     // Figures, a share of the oracle's rate, and a frame of different instants: a rate is of the instant of its share.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
-             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, min_rate_mbps: 1 }] }; \
+             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, compared_mbps: 4.5, min_rate_mbps: 1 }] }; \
            const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
            const shown = (wall) => { \
              users(now, { wall }, frame, { of: () => null }); \
@@ -282,7 +282,9 @@ fn the_sentence_says_what_is_unknown() {
         browser.run(&script).as_str().expect("a text").to_owned()
     };
     let now = |users: &str, sum: &str| {
-        format!("{{ origin: 'simulated', ages_s: {{ room: 0 }}, nodes: [], users: [{users}], sum_mbps: {sum} }}")
+        format!(
+            "{{ origin: 'simulated', ages_s: {{ room: 0 }}, nodes: [], users: [{users}], sum_mbps: {sum}, sum_name: 'sum rate' }}"
+        )
     };
     let sum = "{ policy: 92, no_irs: 30 }";
     assert_eq!(
@@ -329,7 +331,7 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
-           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users }; \
+           const now = { origin: 'real', ages_s: { room: 0 }, nodes: [], users, sum_name: 'modelled sum rate' }; \
            const of = (sum_mbps) => sentence({ ...now, sum_mbps }, 0.1, { wall: true }); \
            return [of({ policy: 45, no_irs: 12, is_modelled: true }), of(null)]; })";
     let expected = [
@@ -341,8 +343,8 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
     let titles = "return import('/charts.js').then(({ Charts }) => { \
            const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
            charts.theme(); \
-           const title = (sum) => { charts.figures(sum); return document.getElementById('sums-title').textContent; }; \
-           return [title({ policy: 45, is_modelled: true }), title({ policy: 45 })]; })";
+           const title = (name) => { charts.figures({ policy: 45 }, name); return document.getElementById('sums-title').textContent; }; \
+           return ['modelled sum rate', 'sum rate'].map(title); })";
     let expected = ["Modelled sum rate of all users, last 90 s, Mbit/s", "Sum rate of all users, last 90 s, Mbit/s"];
     assert_eq!(browser.run(titles), serde_json::json!(expected));
 }

@@ -187,6 +187,35 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
 
 #[needs("browser")]
 #[test]
+fn what_is_unknown_at_the_start_is_neither_red_nor_gone() {
+    let (_setting, browser) = Setting::shown();
+    // Before the first figures, then with those of a server to which nothing has reported. In one step, before the next
+    // figures of the open page.
+    let script = "return Promise.all([import('/stale.js'), import('/figures.js')]).then(([{ Ages }, { chips }]) => { \
+           const parts = [...document.querySelectorAll('section[data-from]')]; \
+           const red = () => parts.filter((part) => part.classList.contains('stale') && !part.classList.contains('unknown')).map(({ id }) => id); \
+           for (const part of parts) part.classList.remove('stale'); \
+           const ages = new Ages(() => {}); \
+           ages.mark(); \
+           const before = parts.filter((part) => part.classList.contains('stale')).length; \
+           const now = { ages_s: {}, in_charge: { name: 'no report', idle: 'unknown' }, nodes: [], controller_alive: false, \
+             controller_unseen: false, array: { state: 'no report', unusable: 0 }, origin: 'no-data' }; \
+           ages.take(now); \
+           ages.mark(); \
+           chips(now, ages, null); \
+           const states = ['array', 'controller', 'room'].map((part) => document.getElementById(`chip-${part}`)); \
+           const found = [before, red(), states.map(({ textContent, className }) => [textContent, className]), \
+             getComputedStyle(document.getElementById('rates'), '::after').backgroundColor]; \
+           ages.take({ ages_s: { array: 9 } }); \
+           chips({ ...now, ages_s: { array: 9 } }, ages, null); \
+           return [...found, states[0].className]; })";
+    let unknown = ["no report", "old"];
+    let expected = json!([0, [], [unknown, unknown, unknown], "rgb(52, 73, 94)", "bad"]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
 fn figures_are_taken_with_a_new_report_of_the_room_only() {
     let (_setting, browser) = Setting::shown();
     // Time of the server and age of the report, of the figures and of those before.

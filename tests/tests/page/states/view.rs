@@ -56,6 +56,30 @@ fn a_blocked_path_has_the_colour_of_the_legend_in_both_themes() {
 
 #[needs("browser")]
 #[test]
+fn another_theme_is_drawn_at_once_also_where_pictures_are_rare() {
+    let (_setting, browser) = Setting::shown();
+    // In one step, without a further picture of the room. The colours of the floor in the theme and in the other one.
+    let script = "return import('/geometry.js').then(({ palette }) => { \
+           const { room } = document.getElementById('room'); \
+           const canvas = document.querySelector('#room canvas'); \
+           const isDrawn = (colour) => { \
+             const [red, green, blue] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16)); \
+             const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+             let count = 0; \
+             for (let at = 0; at < data.length; at += 4) count += data[at] === red && data[at + 1] === green && data[at + 2] === blue; \
+             return count > 1000; }; \
+           room.nextDraw = Infinity; \
+           const found = ['first', 'second', 'third'].map(() => { \
+             document.getElementById('theme').click(); \
+             const isDark = document.documentElement.dataset.theme === 'dark'; \
+             return [isDrawn(palette(isDark).floor), isDrawn(palette(!isDark).floor)]; }); \
+           room.nextDraw = 0; \
+           return found; })";
+    assert_eq!(browser.run(script), serde_json::json!([[true, false], [true, false], [true, false]]));
+}
+
+#[needs("browser")]
+#[test]
 fn users_who_are_present_have_different_colours_and_keep_them() {
     let setting = Setting::with(&["--set", "users.count=17"]);
     let browser = setting.browser();

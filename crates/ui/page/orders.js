@@ -63,6 +63,7 @@ export class Orders {
     this.newest = null;
     this.hasFigures = false;
     this.status = document.getElementById("order-status");
+    this.status.addEventListener("click", () => this.dismiss());
     this.note = document.getElementById("not-taken");
     this.jammed = document.getElementById("label-mirrors");
     this.select = document.getElementById("policy");
@@ -201,6 +202,14 @@ export class Orders {
     this.show();
   }
 
+  // Hides a refusal that lies over the page, as on a phone.
+  dismiss() {
+    if (getComputedStyle(this.status).position !== "fixed" || this.status.className !== "bad") return;
+    if (this.message) this.message = null;
+    else this.dismissed = this.newest?.id;
+    this.show();
+  }
+
   // Ends the answer of a server that is silent, by the time since its last event in s: the server ends the others.
   age(silence) {
     if (silence > STALE_S) this.newest = null;
@@ -208,6 +217,7 @@ export class Orders {
   }
 
   show() {
+    if (this.newest?.id === this.dismissed) this.newest = null;
     if (this.message && performance.now() > this.message.until) this.message = null;
     const text = this.message?.text ?? this.newest?.text ?? "";
     const answer = this.message ? "refused" : this.newest?.state;

@@ -3,7 +3,8 @@
 //! Each server runs on one thread of its own, so that no client can delay the rest of the process.
 //! Every wait for a client is bounded by [`Limits`]: for a request's headers, for its body, for the
 //! next request, and for the client to read an answer. When all places are taken, the connection that
-//! has waited longest for its client ends.
+//! has waited longest for its client ends. Reads take a part of the places only, so that an order never waits behind
+//! viewers.
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
@@ -14,7 +15,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::http::StatusCode;
-use axum::middleware::from_fn;
+use axum::middleware::from_fn_with_state;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service, service_fn};
@@ -54,6 +55,9 @@ pub struct Limits {
     /// Connections at the same time; for a further one the oldest ends that waits for its client. If all
     /// are being answered, the further one waits.
     pub connections: usize,
+    /// Reads, as GET, that are answered at the same time; the status is 503 beyond it. Below `connections`, so that a
+    /// request with an effect finds a place.
+    pub reads: usize,
     /// Longest wait at the end for answers that are being sent.
     pub shutdown: Duration,
 }
@@ -66,6 +70,7 @@ impl Default for Limits {
             stall: Duration::from_secs(5),
             body_bytes: 4096,
             connections: 400,
+            reads: 200,
             shutdown: Duration::from_secs(1),
         }
     }
@@ -99,7 +104,7 @@ pub fn serve(name: &str, listener: TcpListener, router: Router, limits: Limits, 
         .layer(RequestBodyLimitLayer::new(limits.body_bytes))
         .layer(TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limits.answer))
         // Outermost: the limit recognises its own error at its depth alone.
-        .layer(from_fn(waiting::note));
+        .layer(from_fn_with_state(Arc::new(Semaphore::new(limits.reads)), waiting::note));
     let until = stop.clone();
     let serve = move || runtime.block_on(accept(listener, router, limits, until));
     let thread = std::thread::Builder::new().name(name.to_owned()).spawn(serve)?;

@@ -1,8 +1,9 @@
-//! Which connections of a server wait for their clients.
+//! Which connections of a server wait for their clients, and how many reads are answered.
 //!
 //! A connection waits until the request with its body has arrived, and again after the answer. When
 //! all places are taken, the one that has waited longest makes room: clients that hold half-sent
-//! requests delay no other client.
+//! requests delay no other client. A read beyond the limit is refused at once, and its connection ends: clients that read
+//! slowly leave places for orders.
 
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,10 +11,13 @@ use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};
 
 use axum::body::{Body, Bytes, HttpBody};
-use axum::extract::Request;
+use axum::extract::{Request, State};
+use axum::http::StatusCode;
+use axum::http::header::CONNECTION;
 use axum::middleware::Next;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use hyper::body::{Frame, SizeHint};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
 use crate::locks::lock;
@@ -65,19 +69,27 @@ impl Connections {
 
 type Slot = Arc<Mutex<Option<Answering>>>;
 
-/// Notes that a request has arrived with its body, until its answer is sent.
-pub(crate) async fn note(request: Request, next: Next) -> Response {
+/// The answer to a read beyond the limit.
+const TOO_MANY_READS: &str = "too many requests at once: expected fewer; close other pages, or send this one again\n";
+
+/// Notes that a request has arrived with its body, until its answer is sent. A read takes one of the places of `reads`
+/// meanwhile.
+pub(crate) async fn note(State(reads): State<Arc<Semaphore>>, request: Request, next: Next) -> Response {
     let Some(answers) = request.extensions().get::<Answers>().cloned() else { return next.run(request).await };
+    let place = request.method().is_safe().then(|| reads.try_acquire_owned());
+    let Ok(place) = place.transpose() else {
+        return (StatusCode::SERVICE_UNAVAILABLE, [(CONNECTION, "close")], TOO_MANY_READS).into_response();
+    };
     let slot = Slot::default();
     let request = if request.body().is_end_stream() {
         *lock(&slot) = Some(answers.begin());
         request
     } else {
         let arriving = Some((answers, Arc::clone(&slot)));
-        request.map(|body| Body::new(Noted { body, arriving, _answering: None }))
+        request.map(|body| Body::new(Noted { body, arriving, _answering: None, _place: None }))
     };
     let response = next.run(request).await;
-    response.map(|body| Body::new(Noted { body, arriving: None, _answering: Some(slot) }))
+    response.map(|body| Body::new(Noted { body, arriving: None, _answering: Some(slot), _place: place }))
 }
 
 /// A body whose end is noted.
@@ -87,6 +99,8 @@ struct Noted {
     arriving: Option<(Answers, Slot)>,
     /// Of an answer: until it is sent.
     _answering: Option<Slot>,
+    /// Of the answer to a read.
+    _place: Option<OwnedSemaphorePermit>,
 }
 
 impl HttpBody for Noted {

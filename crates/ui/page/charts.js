@@ -1,5 +1,6 @@
 // The charts of sum rates over time and of decision times.
 import { RedrawLimiter } from "./redraw.js";
+import { capitalised } from "./sentence.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
@@ -155,10 +156,10 @@ export class Charts {
     return stroke;
   }
 
-  // The present sum rates.
-  figures(sum) {
+  // The present sum rates, with their name.
+  figures(sum, sumName) {
     const list = document.getElementById("sum-figures");
-    const title = `${sum?.is_modelled ? "Modelled sum rate" : "Sum rate"} of all users, last 90 s, Mbit/s`;
+    const title = `${capitalised(sumName)} of all users, last 90 s, Mbit/s`;
     const heading = document.getElementById("sums-title");
     if (heading.textContent !== title) heading.textContent = title;
     this.lines().forEach(([key, name, colour, dash], index) => {

@@ -9,7 +9,13 @@ const time = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-di
 
 export function openEvents() {
   at("events").open = innerHeight >= OPEN_FROM;
-  at("events").addEventListener("toggle", () => { if (at("events").open) at("event-list").scrollIntoView({ block: "nearest" }); });
+  at("events").addEventListener("toggle", () => {
+    if (!at("events").open) return;
+    // In a lower window the list lies over the decision times: the end of their column has both.
+    const column = at("event-log").parentElement;
+    if (innerHeight < OPEN_FROM) column.scrollTop = column.scrollHeight;
+    at("event-list").scrollIntoView({ block: "nearest" });
+  });
 }
 
 export function showEvents(events) {

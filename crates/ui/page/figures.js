@@ -21,39 +21,39 @@ export function networkIn(hash, file) {
   return hash === file?.hash ? `Its network is ${file.name}.` : `Its network has the hash ${hash}.`;
 }
 
-// The state of each process; a state that is old or unknown is never green.
+// The state of each process; a state that is old or unknown is never green, and an unknown one is not bad.
 export function chips(now, ages, file) {
   const silent = (process) => noReport(ages.of(process));
+  const kind = (process) => (ages.isUnknown(process) ? "old" : "bad");
   const { name, idle } = now.in_charge;
   const isSilent = ages.isStale("controller") || !now.controller_alive;
   const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
   const explained = [idle, networkIn(now.network, file)].filter(Boolean).join(" ");
   chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "", explained || undefined);
   if (isSilent) {
-    const isGone = !now.controller_alive && !ages.isStale("server");
-    chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
+    const isAbsent = !now.controller_alive && !ages.isStale("server");
+    if (isAbsent && now.controller_unseen) chip("chip-controller", "not seen", "bad");
+    else chip("chip-controller", isAbsent && !ages.isUnknown("controller") ? "gone" : silent("controller"), kind("controller"));
   } else {
     const refusing = refusal(now);
     chip("chip-controller", isCalibrating(now) ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} unusable` : "";
   const array = now.array.state + stuck;
-  if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
+  if (ages.isStale("array")) chip("chip-array", silent("array"), kind("array"));
   else chip("chip-array", array, now.array.state === "following" && !stuck ? "good" : "bad", stuck ? `${array} of ${now.array.mirrors} mirrors` : array);
-  if (ages.isStale("room")) chip("chip-room", silent("room"), "bad");
-  else chip("chip-room", now.origin === "measured" ? "real" : now.origin);
+  if (ages.isStale("room")) chip("chip-room", silent("room"), kind("room"));
+  else chip("chip-room", now.origin);
 }
 
 // The users of the table with their rates. Without the mirrors they are those of the frame that the picture shows, so
 // that direct path, rate and picture are of one report. With the mirrors, a rate with a share of the oracle's is that of
 // the instant of the share.
 function rated(now, shown, frame) {
-  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? rateOf(user) : null }));
+  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.compared_mbps ?? user.rate_mbps : null }));
   if (!frame) return now.users.map((user) => ({ ...user, rate: null }));
   return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
 }
-
-const rateOf = ({ rate_mbps, oracle_mbps, share_of_oracle }) => (share_of_oracle == null ? rate_mbps : share_of_oracle * oracle_mbps);
 
 // The sum rates. Without the mirrors, that without them is of the frame of the table, so that its rates add up to it; the
 // report of the other sums may be an earlier or a later one.

@@ -29,6 +29,12 @@ export function blockedTitle(users) {
   return `block the direct ${paths} of ${of} ${users.map(({ user }) => user).join(", ")}`;
 }
 
+// Why a button for so many users does not act, empty where it does.
+export function tooFew(users, present) {
+  if (users <= present) return "";
+  return present === 0 ? "no user is in the room" : `only ${present} ${present === 1 ? "user is" : "users are"} in the room`;
+}
+
 // Why the buttons of each order are disabled, empty where they are not; `now` is null before the first figures. STOP is
 // always enabled.
 const AWAITED = "the page waits for the first figures of its server";
@@ -57,6 +63,7 @@ export class Orders {
     this.newest = null;
     this.hasFigures = false;
     this.status = document.getElementById("order-status");
+    this.status.addEventListener("click", () => this.dismiss());
     this.note = document.getElementById("not-taken");
     this.jammed = document.getElementById("label-mirrors");
     this.select = document.getElementById("policy");
@@ -82,6 +89,10 @@ export class Orders {
     for (const [button, watts] of this.power) button.dataset.title = `each LED transmits ${watts} W of light`;
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     for (const [button, max_m_s] of this.speed) button.dataset.title = max_m_s ? `users walk at ${max_m_s} m/s at most` : "users stand still";
+    // All of them at all times: users who come or go move no button.
+    const choices = Array.from({ length: BLOCKED_MAX + 1 }, (_, users) => [`${users}`, users]);
+    this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
+    for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     this.enable(null);
   }
 
@@ -93,8 +104,9 @@ export class Orders {
       button.title = why || (button.dataset.title ?? "");
     };
     const of = (id) => document.getElementById(id);
-    const ofRoom = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
+    const ofRoom = [...this.power, ...this.speed].map(([button]) => button);
     for (const button of [...ofRoom, of("stick"), of("release")]) set(button, reason.room);
+    for (const [button, users] of this.blocked) set(button, reason.room || tooFew(users, now.users.length));
     for (const id of ["rearm", "kill", "restart"]) set(of(id), reason[id]);
     set(of("switch-policy"), reason.policy);
     const note = reason.room && `Disabled buttons: ${reason.room}.`;
@@ -112,12 +124,6 @@ export class Orders {
     };
     // While the room is silent, the buttons stay, and none is pressed.
     const isKnown = isReporting(now);
-    const count = Math.min(now.users.length, BLOCKED_MAX);
-    if (this.blocked.length !== count + 1 && (isKnown || !this.blocked.length)) {
-      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
-      this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
-      for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
-    }
     // Users come and go: the first ones of the table are named.
     for (const [button, users] of this.blocked) button.dataset.title = blockedTitle(now.users.slice(0, users));
     pressed(this.blocked, isKnown ? now.users.filter((user) => user.forced).length : null);
@@ -196,6 +202,14 @@ export class Orders {
     this.show();
   }
 
+  // Hides a refusal that lies over the page, as on a phone.
+  dismiss() {
+    if (getComputedStyle(this.status).position !== "fixed" || this.status.className !== "bad") return;
+    if (this.message) this.message = null;
+    else this.dismissed = this.newest?.id;
+    this.show();
+  }
+
   // Ends the answer of a server that is silent, by the time since its last event in s: the server ends the others.
   age(silence) {
     if (silence > STALE_S) this.newest = null;
@@ -203,6 +217,7 @@ export class Orders {
   }
 
   show() {
+    if (this.newest?.id === this.dismissed) this.newest = null;
     if (this.message && performance.now() > this.message.until) this.message = null;
     const text = this.message?.text ?? this.newest?.text ?? "";
     const answer = this.message ? "refused" : this.newest?.state;

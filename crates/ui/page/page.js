@@ -117,7 +117,7 @@ async function start() {
   const showUsers = () => {
     if (!state.users) return;
     users(state.users, room.shown, state.frame, outages);
-    charts.figures(sums(state.users, room.shown, state.frame));
+    charts.figures(sums(state.users, room.shown, state.frame), state.users.sum_name);
   };
   addEventListener("shown", () => { showUsers(); show(); });
   addEventListener("heat", ({ detail }) => showHeat(detail));

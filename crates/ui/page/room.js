@@ -52,7 +52,7 @@ export class Room {
     const mark = (name) => document.querySelector(`#legend .${name}`).style;
     mark("blocked").borderColor = blocked;
     for (const [name, colour] of Object.entries({ obstacle, unused: UNUSED, unusable: UNUSABLE, direct: LIGHT })) mark(name).background = colour;
-    this.isDirty = true;
+    this.drawChange();
   }
 
   update(frame) {
@@ -62,7 +62,7 @@ export class Room {
 
   show(name, isShown) {
     this.shown[name] = isShown;
-    this.isDirty = true;
+    this.drawChange();
     if (name === "heat" || name === "wall") this.loadHeat();
     dispatchEvent(new CustomEvent("shown", { detail: this.shown }));
   }
@@ -86,6 +86,12 @@ export class Room {
     this.view.setHeat(map);
     this.isDirty = true;
     dispatchEvent(new CustomEvent("heat", { detail: map }));
+  }
+
+  // What the user has changed is drawn at once, also on a machine whose pictures are seconds apart.
+  drawChange() {
+    if (this.frames > 0) this.draw(performance.now(), 0);
+    else this.isDirty = true;
   }
 
   tick(now) {

@@ -17,10 +17,10 @@ export function duration(time_s) {
 export const noReport = (age) => (age === Infinity ? "no report" : `no report for ${duration(age)}`);
 
 // What the mirrors add to the sum rate.
-function mirrorsIn(sum) {
+function mirrorsIn({ sum_mbps: sum, sum_name: name }) {
   if (!sum) return "The rates are unknown.";
-  if (sum.is_modelled) return `The modelled sum rate is ${rounded(sum.policy)} Mbit/s, and ${rounded(sum.no_irs)} without the mirrors.`;
-  if (sum.no_irs == null) return `The sum rate is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
+  if (sum.is_modelled) return `The ${name} is ${rounded(sum.policy)} Mbit/s, and ${rounded(sum.no_irs)} without the mirrors.`;
+  if (sum.no_irs == null) return `The ${name} is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
   const gain = sum.policy - sum.no_irs;
   if (Math.abs(gain) < 0.05) return "Mirrors add nothing to the sum rate.";
   return gain > 0 ? `Mirrors add ${rounded(gain)} Mbit/s.` : `Mirrors take ${rounded(-gain)} Mbit/s away.`;
@@ -74,7 +74,7 @@ export function sentence(now, age, shown, frame) {
   // The list of problems has the reason.
   if (refusal(now)) return "The controller refuses the position reports.";
   if (shown?.wall === false && frame) return withoutIn(frame.users);
-  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
+  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now)} ${usersIn(now.users)}`;
 }
 
 // A text for a screen reader, which reads it again at each change: without ages, which change several times a second.
@@ -89,7 +89,8 @@ function orderedBy({ name, operator, reason, age_s }, said) {
   return `Ordered by ${operator || `stop ${name}`}${why}${known}.`;
 }
 
-export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
+export const capitalised = (text) => `${text[0].toUpperCase()}${text.slice(1)}`;
+export const asSentence = (text) => `${capitalised(text)}.`;
 
 // The banner of a controller that is in the room and does not report; no calibration has an age here.
 function controllerBanner(age) {

@@ -33,11 +33,19 @@ export class Ages {
     return this.of(process) > STALE_S;
   }
 
-  // Marks the parts and the single figures that show old values; the style sheet writes their age beside them.
+  // Whether a process has never reported: what it would report is unknown, and nothing is wrong with it yet.
+  isUnknown(process) {
+    return this.of(process) === Infinity;
+  }
+
+  // Marks the parts and the single figures that show old values; the style sheet writes their age beside them. Before
+  // the first figures there are none.
   mark() {
+    if (!this.now) return;
     for (const part of document.querySelectorAll("[data-from]")) {
       const age = this.of(part.dataset.from);
       part.classList.toggle("stale", age > STALE_S);
+      part.classList.toggle("unknown", age === Infinity);
       const text = age <= STALE_S ? "" : age === Infinity ? noReport(age) : `${duration(age)} old`;
       if (part.dataset.age !== text) part.dataset.age = text;
     }

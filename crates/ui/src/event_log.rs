@@ -73,7 +73,7 @@ impl EventLog {
         let last = self.events.back().cloned();
         let origin = match figures.origin {
             Origin::Simulated => "simulated",
-            Origin::Measured => "real",
+            Origin::Real => "real",
             Origin::NoData => NO_REPORT,
         };
         self.change(at_ms, "room", origin, figures.origin == Origin::NoData);
@@ -83,7 +83,12 @@ impl EventLog {
         if figures.array.silent.is_empty() {
             self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
         }
-        let controller = controller_state(figures);
+        let before = self.states.get("controller").map_or(NO_REPORT, String::as_str);
+        let controller = match controller_state(figures) {
+            // None has been in the room yet, as far as this viewer knows.
+            GONE if before == NO_REPORT => NO_REPORT,
+            state => state,
+        };
         self.change(at_ms, "controller", controller, controller != ALIVE);
         // Its progress is no event.
         let calibration = if figures.calibration.is_some() { "commands the mirrors" } else { "" };
@@ -187,7 +192,8 @@ impl EventLog {
         }
     }
 
-    /// Notes the state of a subject if it has changed; an empty one is noted as the end of the last.
+    /// Notes the state of a subject if it has changed; an empty one is noted as the end of the last. That nothing is known at
+    /// the start is not bad.
     fn change(&mut self, at_ms: u64, subject: &str, state: &str, is_bad: bool) {
         let before = self.states.insert(subject.to_owned(), state.to_owned()).unwrap_or_default();
         if before == state {
@@ -197,7 +203,7 @@ impl EventLog {
             // The release was the end of the stop.
             (RELEASED, "") if subject == "stop" => return,
             (_, "") => (format!("{subject}: over"), false),
-            ("", state) => (format!("{subject}: {state}"), is_bad),
+            ("", state) => (format!("{subject}: {state}"), is_bad && state != NO_REPORT),
             (_, state) if subject.starts_with("problem") || subject == "stop" => {
                 (format!("{subject}: {state}"), is_bad)
             }
@@ -234,7 +240,7 @@ fn controller_state(figures: &Figures) -> &'static str {
         (true, _) if is_silent => "silent",
         (true, _) => ALIVE,
         (false, true) => "not seen",
-        (false, false) => "gone",
+        (false, false) => GONE,
     }
 }
 

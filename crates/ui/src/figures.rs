@@ -27,11 +27,12 @@ use crate::latency::Histogram;
 use crate::notes::is_of_standby;
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
+use crate::sums::{PastSum, SumFigures};
 use crate::view::{EXPIRY, Received};
 use counts::{Counting, counts};
 use rates::{sum, users};
 
-pub use rates::{PastSum, SumFigures, UserFigures};
+pub use rates::UserFigures;
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -39,8 +40,8 @@ pub use rates::{PastSum, SumFigures, UserFigures};
 pub enum Origin {
     /// The true state of a simulated room.
     Simulated,
-    /// Reports of trackers and receivers.
-    Measured,
+    /// Reports of trackers and receivers of a real room.
+    Real,
     /// No message arrived within [`EXPIRY`].
     #[default]
     NoData,
@@ -154,6 +155,8 @@ pub struct Figures {
     /// Sum rates; absent without messages, and where those of some users are unknown. Where no receiver reports gains,
     /// those of the channel model.
     pub sum_mbps: Option<SumFigures>,
+    /// The name of the sum rate; it says where the channel model gives it.
+    pub sum_name: &'static str,
     /// The mirror array.
     pub array: ArrayFigures,
     /// The controllers in the room, the leader first, and those that hung when their connection expired.
@@ -189,13 +192,13 @@ pub struct Figures {
 }
 
 impl View {
-    /// The current figures.
+    /// The current figures. Their sum rates are kept for the [`history`](Self::history).
     pub fn figures(&self) -> Figures {
         let (room, Findings { mut notes, remarks }) = (self.shown_room(), self.findings());
         let is_stopped = self.stops.room().is_held();
         let modelled = self.modelled_sum();
         let (geometry, model) = (room.id.clone(), &room.model);
-        let received = self.received();
+        let mut received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);
         let silent: Vec<String> =
             received.arrays.silent(model.mirrors.arrays().len()).into_iter().map(array_name).collect();
@@ -211,7 +214,8 @@ impl View {
         let [last_controller, last_room] = [NodeKind::Controller, NodeKind::SimNode].map(last);
         let last_controller = last_controller.filter(|_| !received.awaits_controller());
         let gauge = |name: &str| room.and_then(|room| room.gauge(name));
-        Figures {
+        let sum_mbps = sum(&received, &users, modelled);
+        let figures = Figures {
             time_s: self.opened.elapsed().as_secs_f64(),
             origin,
             tick,
@@ -220,7 +224,8 @@ impl View {
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
             in_charge: received.in_charge(),
-            sum_mbps: sum(&received, &users, modelled),
+            sum_mbps,
+            sum_name: sum_mbps.unwrap_or_default().name(),
             users,
             array,
             controllers: received.present_controllers(),
@@ -255,13 +260,18 @@ impl View {
             // What a process says is compared with all notes, also with those that a demo leaves out.
             notes: folded(self.as_shown(notes)),
             remarks,
+        };
+        if let Some(sum) = sum_mbps {
+            let InCharge { name, idle } = &figures.in_charge;
+            received.keep_sum(PastSum { sum, name: name.clone(), idle: !idle.is_empty() });
         }
+        figures
     }
 
     /// Sum rates of the last 90 s: time since the view opened in s, then those of that instant.
     pub fn history(&self) -> Vec<(f64, PastSum)> {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
-        self.received().history.iter().map(|sample| (since(sample.at), PastSum::of(sample))).collect()
+        self.received().history.iter().map(|(at, past)| (since(*at), past.clone())).collect()
     }
 }
 
@@ -334,17 +344,13 @@ impl Figures {
 
 fn ages(received: &Received) -> Ages {
     let age = |at: Instant| at.elapsed().as_secs_f64();
-    // The figures come from the truth while it is fresh.
-    let truth = received.truth.as_ref().map(|(at, _)| *at);
-    let users = received.users.as_ref().map(|(at, _)| *at);
-    let shown = if Received::fresh(&received.truth).is_some() { truth } else { users.or(truth) };
     let controller = received.statuses.get(NodeKind::Controller.name()).filter(|_| !received.awaits_controller());
     let is_present = |status: &NodeStatus| {
         received.alive.contains(&(NodeKind::Controller.name(), status.stamp.source))
             && CalibrationProgress::of(status).is_none()
     };
     Ages {
-        room: shown.map(age),
+        room: received.reported_at().map(age),
         array: received.arrays.at().map(age),
         controller: controller.map(|(at, _)| age(*at)),
         present_controller: controller.filter(|(_, status)| is_present(status)).map(|(at, _)| age(*at)),

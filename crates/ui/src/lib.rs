@@ -9,6 +9,7 @@
 //! - `shown_room`: the room that is drawn: announced, given, or the default.
 //! - [`in_charge`]: what the mirrors follow, and why it is not the policy.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
+//! - [`sums`]: the sum rates, their name, and those of the past.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
@@ -55,6 +56,7 @@ pub mod stop_state;
 pub mod stop_switch;
 mod stop_watch;
 mod stop_words;
+pub mod sums;
 mod telemetry_ages;
 pub mod terminal;
 mod token;

@@ -24,7 +24,7 @@ use crate::stop_state::{StopFigures, StopPhase};
 
 /// Time between two `figures` events.
 const FIGURES_EVERY: Duration = Duration::from_millis(100);
-/// Without a reader, the log of events is updated once in so many rounds.
+/// Without a reader, the log of events and the history of sum rates are updated once in so many rounds.
 const UNREAD_ROUNDS: u32 = 10;
 /// Time between two `frame` events of a small array.
 const FRAME_EVERY: Duration = Duration::from_millis(100);

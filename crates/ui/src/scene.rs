@@ -119,6 +119,32 @@ pub(crate) struct OpticalState {
     pub angles: MirrorAngles,
 }
 
+/// The latest users, obstacles and telemetry.
+struct Observed {
+    users: Vec<ObservedUser>,
+    /// The body of each user, where bodies block light.
+    bodies: Vec<Option<Cylinder>>,
+    obstacles: Vec<Cylinder>,
+    telemetry: Option<MirrorTelemetry>,
+}
+
+impl Observed {
+    fn new(
+        scenario: &Scenario,
+        users: Vec<ObservedUser>,
+        obstacles: Vec<Cylinder>,
+        telemetry: Option<MirrorTelemetry>,
+    ) -> Self {
+        let bodies = users.iter().map(|user| body(scenario, user)).collect();
+        Self { users, bodies, obstacles, telemetry }
+    }
+
+    /// All cylinders that block light.
+    fn blockers(&self) -> Vec<Cylinder> {
+        self.obstacles.iter().chain(self.bodies.iter().flatten()).copied().collect()
+    }
+}
+
 /// A user as published.
 struct ObservedUser {
     user: u32,
@@ -164,9 +190,9 @@ impl FrameBuilder {
         if !Arc::ptr_eq(&room, &state.room) {
             *state = FrameState::new(Arc::clone(&room));
         }
-        let (users, obstacles, telemetry) = self.view.observed(&room);
-        let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
-        let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
+        let observed = self.view.observed(&room);
+        let blockers = observed.blockers();
+        let Observed { users, bodies, obstacles, telemetry } = observed;
         let mirrors = room.model.mirrors.len();
         let reported = reported_angles(mirrors, telemetry.as_ref());
         let are_reported = reported.is_some();
@@ -214,13 +240,13 @@ impl View {
     /// The number of users, all cylinders that block light, and the angles of the mirrors.
     pub(crate) fn optical_state(&self) -> OpticalState {
         let room = self.shown_room();
-        let (users, obstacles, telemetry) = self.observed(&room);
-        let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
+        let observed = self.observed(&room);
         let mirrors = room.model.mirrors.len();
         OpticalState {
-            users: users.len(),
-            blockers: obstacles.into_iter().chain(bodies).collect(),
-            angles: reported_angles(mirrors, telemetry.as_ref()).unwrap_or_else(|| MirrorAngles::flat(mirrors)),
+            users: observed.users.len(),
+            blockers: observed.blockers(),
+            angles: reported_angles(mirrors, observed.telemetry.as_ref())
+                .unwrap_or_else(|| MirrorAngles::flat(mirrors)),
             room,
         }
     }
@@ -229,18 +255,17 @@ impl View {
     /// or the truth, and where an array reports no angles.
     pub(crate) fn modelled_sum(&self) -> Option<ModelledSum> {
         let room = self.shown_room();
-        let (users, obstacles, telemetry) = self.observed(&room);
+        let observed = self.observed(&room);
+        let users = &observed.users;
         let is_reported = users.is_empty() || users.iter().any(|user| user.blocked.is_some());
         if is_reported || !unknown_mirrors(&self.received(), &room).is_empty() {
             return None;
         }
         let (model, budget) = (&room.model, self.budget(&room.model));
-        let angles = reported_angles(model.mirrors.len(), telemetry.as_ref())?;
-        let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
-        let blockers: Vec<Cylinder> = obstacles.into_iter().chain(bodies).collect();
+        let angles = reported_angles(model.mirrors.len(), observed.telemetry.as_ref())?;
         let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
         let mut scene = Scene::new(model, users.len());
-        scene.update(model, &positions, &blockers, &vec![false; users.len()]);
+        scene.update(model, &positions, &observed.blockers(), &vec![false; users.len()]);
         let mut sinr = vec![0.0; users.len()];
         scene.sinr(model, &angles, &mut sinr);
         let mbps = |sinr: f64| budget.rate_bps(sinr, users.len()) * 1e-6;
@@ -252,7 +277,7 @@ impl View {
 
     /// The latest users, obstacles and telemetry. Where no process reports users any longer, the last
     /// picture stays; the page marks how old it is.
-    fn observed(&self, room: &ShownRoom) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+    fn observed(&self, room: &ShownRoom) -> Observed {
         let received = self.received();
         let is_over = !received.has_users();
         let last = || received.arrays.last_joint(&room.model.mirrors).filter(|_| is_over);
@@ -274,11 +299,14 @@ impl View {
                 }
             };
             let users = truth.users.iter().map(observed).collect();
-            return (users, truth.obstacles.iter().map(Cylinder::from).collect(), telemetry);
+            let obstacles = truth.obstacles.iter().map(Cylinder::from).collect();
+            return Observed::new(&room.scenario, users, obstacles, telemetry);
         }
         let obstacles = shown(&received.obstacles, is_over).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(Cylinder::from).collect();
-        let Some(report) = shown(&received.users, is_over) else { return (Vec::new(), obstacles, telemetry) };
+        let Some(report) = shown(&received.users, is_over) else {
+            return Observed::new(&room.scenario, Vec::new(), obstacles, telemetry);
+        };
         let gains = shown(&received.channel, is_over).map_or(&[][..], |report| &report.users);
         let users = report.users.iter().map(|user| {
             let measured = gains.iter().find(|gains| gains.user == user.user);
@@ -293,7 +321,7 @@ impl View {
                 belief: belief_of(user.user, report.stamp.time_ns),
             }
         });
-        (users.collect(), obstacles, telemetry)
+        Observed::new(&room.scenario, users.collect(), obstacles, telemetry)
     }
 }
 
@@ -442,6 +470,7 @@ mod tests {
         let telemetry = MirrorTelemetry { roll_commanded: flat(), yaw_commanded: flat(), ..MirrorTelemetry::default() };
         view.received().arrays.note(0, telemetry);
         assert_eq!(served(), (true, Some(true)), "the array reports flat mirrors");
+        assert!(!view.history().is_empty(), "a page that is loaded again draws the rates of a real room too");
         let gains = ChannelReport { users: vec![UserChannel::default()], ..ChannelReport::default() };
         view.received().channel = Some((Instant::now(), gains));
         assert_eq!(served().1, None, "a receiver reports the gains of the user");

@@ -38,7 +38,6 @@ use serde::Serialize;
 
 use crate::UiError;
 use crate::assets;
-use crate::figures::PastSum;
 use crate::floor::FloorMaps;
 use crate::guard::{self, Guard, PublicAddress};
 use crate::latency::BUDGET_US;
@@ -46,6 +45,7 @@ use crate::live::{Feed, READERS_MAX, Reader};
 use crate::order::Order;
 use crate::page::{NetworkFile, Page, PolicyChoice};
 use crate::scene::Plan;
+use crate::sums::PastSum;
 use crate::token::{self, Gate, Token};
 
 /// Default port of the page.

@@ -227,8 +227,9 @@ fn users_line(users: &[UserFigures]) -> String {
 mod tests {
     use crate::array_faults::faults_note;
     use crate::causes::OTHERS_MISSING;
-    use crate::figures::{ArrayFigures, SumFigures};
+    use crate::figures::ArrayFigures;
     use crate::notes::room_unseen;
+    use crate::sums::SumFigures;
 
     use super::*;
 
@@ -276,10 +277,10 @@ mod tests {
             let figures = Figures { origin, ..Figures::default() };
             RoomStatus { figures, ..RoomStatus::default() }.to_string()
         };
-        let measured = shown(Origin::Measured);
+        let measured = shown(Origin::Real);
         assert!(measured.contains("\nsum rate     unknown: no measured gains\n"), "{measured}");
         let sum = SumFigures { policy: 121.0, is_modelled: true, ..SumFigures::default() };
-        let figures = Figures { origin: Origin::Measured, sum_mbps: Some(sum), ..Figures::default() };
+        let figures = Figures { origin: Origin::Real, sum_mbps: Some(sum), ..Figures::default() };
         let modelled = RoomStatus { figures, ..RoomStatus::default() }.to_string();
         assert!(modelled.contains("\nsum rate     121.0 Mbit/s, modelled: no receiver reports gains\n"), "{modelled}");
         let silent = shown(Origin::NoData);

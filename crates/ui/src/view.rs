@@ -22,7 +22,7 @@ use crate::stop_watch::StopWatch;
 use subscriptions::subscribe;
 
 pub use crate::expiry::EXPIRY;
-pub(crate) use received::{Dated, Received, Sample};
+pub(crate) use received::{Dated, Received};
 
 /// Time after the start within which a process of the room announces its geometry: twice the interval.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(2);

@@ -8,6 +8,8 @@
 //! - [`explained`]: what the parts of the page mean.
 //! - [`notes`]: what is wrong and lasts, with what to do; [`layout`]: what covers, shrinks or hides what.
 //! - [`steady`]: what keeps its place, and what waits for the first figures.
+//! - [`outages`]: how long users were below the minimum rate.
+//! - [`phone`]: what a phone shows.
 //! - [`tabs`]: several tabs of one browser.
 //! - [`view`]: what the page draws and says about a running room.
 
@@ -16,6 +18,8 @@ mod explained;
 mod layout;
 mod notes;
 mod orders;
+mod outages;
+mod phone;
 mod setting;
 mod steady;
 mod tabs;

@@ -126,6 +126,38 @@ fn a_page_of_metrics_outlasts_250_idle_connections() {
     drop(idle);
 }
 
+#[test]
+fn reads_that_are_never_answered_leave_a_place_for_an_order() {
+    let hour = Duration::from_secs(3600);
+    let (sender, asked) = mpsc::channel();
+    let unanswered = move || {
+        // The receiver may have ended with the test.
+        let _ = sender.send(());
+        std::future::pending::<&'static str>()
+    };
+    let router = Router::new().route("/", get(unanswered)).route("/order", post(async || "done"));
+    let places = Limits { connections: 6, reads: 3, headers: hour, answer: hour, stall: hour, ..limits() };
+    let server = start(router, places);
+    let read = || {
+        let mut stream = connect(server.address());
+        // A server that ends the connection meanwhile resets it.
+        let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+        stream
+    };
+    let held = [(); 3].map(|()| {
+        let stream = read();
+        asked.recv_timeout(PATIENCE).expect("the server begins an answer");
+        stream
+    });
+    let further: Vec<TcpStream> = (0..12).map(|_| read()).collect();
+    let order = "POST /order HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+    let ordered = exchange(&connect(server.address()), order);
+    assert!(ordered.ends_with("done"), "{ordered}");
+    let refused = exchange(&connect(server.address()), "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert!(refused.starts_with("HTTP/1.1 503") && refused.contains("too many requests"), "{refused}");
+    drop((held, further));
+}
+
 /// Tells when it is dropped.
 struct Tell(mpsc::Sender<()>);
 

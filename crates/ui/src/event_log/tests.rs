@@ -38,6 +38,19 @@ fn only_changes_are_events() {
     );
 }
 
+#[test]
+fn what_is_unknown_at_the_start_is_not_bad() {
+    let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+    let array = ArrayFigures { state: NO_REPORT.into(), ..ArrayFigures::default() };
+    log.note_at(1, &Figures { array, ..Figures::default() }, &[], &no_stop);
+    let unknown = ["room: no report", "mirrors: no report", "controller: no report"];
+    assert_eq!(texts(&log), unknown.map(|text| (1, text, false)));
+    log.note_at(2, &figures("parked", ""), &[], &no_stop);
+    let parked = (2, "mirrors: no report \u{2192} parked", true);
+    assert!(texts(&log).contains(&parked), "{:?}", texts(&log));
+    assert!(texts(&log).contains(&(2, "controller: no report \u{2192} alive", false)), "{:?}", texts(&log));
+}
+
 fn controller(name: &str, role: Role, takeovers: u64, false_takeovers: u64) -> ControllerFigures {
     ControllerFigures { name: name.into(), role, takeovers, false_takeovers, ..ControllerFigures::default() }
 }

@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use super::Origin;
 use crate::scene::ModelledSum;
-use crate::view::{Received, Sample};
+use crate::sums::SumFigures;
+use crate::view::Received;
 
 /// One user.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -28,6 +29,8 @@ pub struct UserFigures {
     /// The user's rate as a share of [`oracle_mbps`](Self::oracle_mbps), both of the instant of that status; absent
     /// where it is unknown, and where the oracle gives this user no rate.
     pub share_of_oracle: Option<f64>,
+    /// The user's rate at that instant in Mbit/s; absent without a share.
+    pub compared_mbps: Option<f64>,
     /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
     pub is_rate_known: bool,
     /// The user's minimum rate in Mbit/s.
@@ -41,62 +44,31 @@ impl UserFigures {
     }
 }
 
-/// Sum rates of all users at the same instant in Mbit/s. In a real room references are absent, but for the modelled
-/// one without mirrors.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SumFigures {
-    /// With the mirrors as they are.
-    pub policy: f64,
-    /// Without mirrors.
-    pub no_irs: Option<f64>,
-    /// With all mirrors flat.
-    pub flat: Option<f64>,
-    /// At the best angles that meet the minimum rates.
-    pub oracle: Option<f64>,
-    /// Whether the channel model gives them, because no receiver reports gains.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub is_modelled: bool,
-}
-
-/// Sum rates at a past instant, and what the mirrors followed then.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PastSum {
-    /// The sum rates.
-    #[serde(flatten)]
-    pub sum: SumFigures,
-    /// What the mirrors followed, as in [`InCharge`](crate::in_charge::InCharge).
-    pub name: String,
-    /// Whether it was not the policy.
-    pub idle: bool,
-}
-
-impl PastSum {
-    pub(super) fn of(Sample { sum, in_charge, .. }: &Sample) -> Self {
-        Self { sum: sum_of(sum), name: in_charge.name.clone(), idle: !in_charge.idle.is_empty() }
-    }
-}
-
 /// Where the users come from, the tick, and the users.
 pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
     if let Some(truth) = Received::fresh(&received.truth) {
         let oracle = oracle_rates(received);
         let of_oracle = |user: u32| oracle.iter().find(|rate| rate.user == user);
-        let user = |user: &TruthUser| UserFigures {
-            user: user.user,
-            position_m: user.position_m,
-            blocked: Some(user.los_blocked),
-            forced: user.forced,
-            rate_mbps: user.rate_bps * 1e-6,
-            oracle_mbps: of_oracle(user.user).map(|rate| rate.mbps),
-            share_of_oracle: of_oracle(user.user).and_then(|rate| share_of_oracle(received, rate)),
-            is_rate_known: true,
-            min_rate_mbps: user.min_rate_bps * 1e-6,
+        let user = |user: &TruthUser| {
+            let compared = of_oracle(user.user).and_then(|rate| compared_with(received, rate));
+            UserFigures {
+                user: user.user,
+                position_m: user.position_m,
+                blocked: Some(user.los_blocked),
+                forced: user.forced,
+                rate_mbps: user.rate_bps * 1e-6,
+                oracle_mbps: of_oracle(user.user).map(|rate| rate.mbps),
+                share_of_oracle: compared.map(|(share, _)| share),
+                compared_mbps: compared.map(|(_, mbps)| mbps),
+                is_rate_known: true,
+                min_rate_mbps: user.min_rate_bps * 1e-6,
+            }
         };
         return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
     }
     let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
     // Before the first truth, and where it is rare, the reports of a simulator have the users.
-    let origin = if received.is_simulated() { Origin::Simulated } else { Origin::Measured };
+    let origin = if received.is_simulated() { Origin::Simulated } else { Origin::Real };
     let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
     let user = |user: &UserState| {
         let gains = channel.iter().find(|gains| gains.user == user.user);
@@ -109,6 +81,7 @@ pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, 
             rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
             oracle_mbps: None,
             share_of_oracle: None,
+            compared_mbps: None,
             is_rate_known: gains.is_some(),
             min_rate_mbps: user.min_rate_bps * 1e-6,
         }
@@ -122,10 +95,12 @@ fn oracle_rates(received: &Received) -> Vec<OracleRate> {
     room.map(OracleRate::all_of).unwrap_or_default()
 }
 
-/// A user's rate as a share of that of the oracle at the same instant. Its present rate is of a later instant.
-fn share_of_oracle(received: &Received, oracle: &OracleRate) -> Option<f64> {
+/// A user's rate as a share of that of the oracle at the same instant, then this rate in Mbit/s. Its present rate is of a
+/// later instant.
+fn compared_with(received: &Received, oracle: &OracleRate) -> Option<(f64, f64)> {
     let (_, rate_bps) = received.rates_at_status.iter().find(|(user, _)| *user == oracle.user)?;
-    (oracle.mbps > 0.0).then(|| f64::from(*rate_bps) * 1e-6 / oracle.mbps)
+    let mbps = f64::from(*rate_bps) * 1e-6;
+    (oracle.mbps > 0.0).then(|| (mbps / oracle.mbps, mbps))
 }
 
 /// The sum rates; `modelled` where a real room reports no gains, `None` where they are unknown.
@@ -166,19 +141,6 @@ mod tests {
     use heliostat_scenario::Scenario;
 
     use super::*;
-    use crate::in_charge::InCharge;
-
-    #[test]
-    fn past_sum_rates_have_what_the_mirrors_followed_beside_them() {
-        let in_charge = InCharge { name: "stopped".into(), idle: "The mirrors do not follow the policy.".into() };
-        let sum = SumRates { policy: 3e6, ..SumRates::default() };
-        let past = PastSum::of(&Sample { at: Instant::now(), sum, in_charge });
-        let json = serde_json::to_value(past).expect("numbers and texts");
-        let expected = serde_json::json!({
-            "policy": 3.0, "no_irs": 0.0, "flat": 0.0, "oracle": 0.0, "name": "stopped", "idle": true
-        });
-        assert_eq!(json, expected);
-    }
 
     #[test]
     fn the_reports_of_a_simulator_are_those_of_a_simulated_room_also_without_a_recent_truth() {
@@ -194,9 +156,9 @@ mod tests {
         assert_eq!(origin(Some(ago(100)), ago(0), 7), Origin::Simulated);
         // A paused simulator that goes on publishes a report before its first truth.
         assert_eq!(origin(Some(ago(9000)), ago(0), 7), Origin::Simulated);
-        assert_eq!(origin(Some(ago(9000)), ago(0), 8), Origin::Measured, "of a tracker that came after it");
+        assert_eq!(origin(Some(ago(9000)), ago(0), 8), Origin::Real, "of a tracker that came after it");
         assert_eq!(origin(Some(ago(3010)), ago(3010), 7), Origin::NoData);
-        assert_eq!(origin(None, ago(0), 7), Origin::Measured);
+        assert_eq!(origin(None, ago(0), 7), Origin::Real);
         let mut starting = received(None, ago(0), 7);
         starting.alive.insert((NodeKind::SimNode.name(), 7));
         assert_eq!(users(&model, &starting).0, Origin::Simulated, "of a simulator that has just started");
@@ -228,9 +190,10 @@ mod tests {
     fn a_share_of_the_oracle_compares_rates_of_one_instant() {
         let rates_at_status = vec![(3, 10e6), (4, 10e6)];
         let received = Received { rates_at_status, ..Received::default() };
-        let share = |user, mbps| share_of_oracle(&received, &OracleRate { user, mbps });
-        assert!((share(3, 12.5).expect("a share") - 0.8).abs() < 1e-9);
-        assert_eq!(share(4, 0.0), None, "the oracle gives this user no rate");
-        assert_eq!(share(5, 12.5), None, "this user has just entered");
+        let compared = |user, mbps| compared_with(&received, &OracleRate { user, mbps });
+        let (share, mbps) = compared(3, 12.5).expect("a share");
+        assert!((share - 0.8).abs() < 1e-9 && (mbps - 10.0).abs() < 1e-9, "{share} {mbps}");
+        assert_eq!(compared(4, 0.0), None, "the oracle gives this user no rate");
+        assert_eq!(compared(5, 12.5), None, "this user has just entered");
     }
 }

@@ -7,7 +7,8 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Row, Table};
 
-use crate::figures::{Figures, SumFigures, UserFigures};
+use crate::figures::{Figures, UserFigures};
+use crate::sums::SumFigures;
 use crate::terminal::texts::{FLAT, NO_IRS, ORACLE, POLICY, named, time, without_rates};
 
 /// Longest bar of a user in characters.
@@ -195,8 +196,8 @@ fn draw_rates(frame: &mut Frame, area: Rect, figures: &Figures, history: &[(f64,
             Span::from("█".repeat((share.clamp(0.0, 1.0) * f64::from(SUM_BAR)).round() as usize)).fg(colour),
         ])
     });
-    let title = if sum.is_modelled { "Modelled sum rate, Mbit/s" } else { "Sum rate, Mbit/s" };
-    let title = Line::from(title.bold());
+    let (first, rest) = sum.name().split_at(1);
+    let title = Line::from(format!("{}{rest}, Mbit/s", first.to_uppercase()).bold());
     frame.render_widget(Paragraph::new(std::iter::once(title).chain(lines).collect::<Vec<_>>()), bars);
     if chart.height >= 3 {
         draw_history(frame, chart, history);

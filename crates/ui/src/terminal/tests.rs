@@ -5,10 +5,11 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::*;
-use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, SumFigures, TimeFigures, UserFigures};
+use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, TimeFigures, UserFigures};
 use heliostat_proto::reported_stops::{RoomStop, Standing};
 
 use crate::stop_watch::RoomStops;
+use crate::sums::SumFigures;
 use texts::line;
 
 impl Lines {
@@ -297,7 +298,7 @@ fn several_arrays_that_have_stopped_are_named_in_the_plural() {
 #[test]
 fn a_modelled_sum_rate_is_marked() {
     let sum = SumFigures { policy: 121.0, no_irs: Some(105.0), is_modelled: true, ..SumFigures::default() };
-    let modelled = Figures { origin: Origin::Measured, sum_mbps: Some(sum), ..figures(2) };
+    let modelled = Figures { origin: Origin::Real, sum_mbps: Some(sum), ..figures(2) };
     assert!(line(&modelled).contains("  modelled sum rate  121.0 Mbit/s (no IRS 105.0)"), "{}", line(&modelled));
     check(&drawn(80, 24, &modelled), &["Modelled sum rate, Mbit/s", "121.00", "105.00"]);
 }
@@ -305,7 +306,7 @@ fn a_modelled_sum_rate_is_marked() {
 #[test]
 fn an_unknown_rate_is_shown_as_unknown_and_not_as_zero() {
     let users = vec![UserFigures { user: 7, ..UserFigures::default() }];
-    let measured = Figures { origin: Origin::Measured, sum_mbps: None, users, ..figures(0) };
+    let measured = Figures { origin: Origin::Real, sum_mbps: None, users, ..figures(0) };
     assert_eq!(line(&measured), "tick   4711  stopped  sum rate unknown: no measured gains");
     let screen = drawn(80, 24, &measured);
     check(&screen, &["sum rate unknown", "7     0.00,  0.00 unknown          unknown"]);

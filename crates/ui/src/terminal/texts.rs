@@ -4,9 +4,10 @@ use ratatui::style::Color;
 
 use heliostat_service::printable::printable;
 
-use crate::figures::{Figures, Origin, SumFigures, TimeFigures};
+use crate::figures::{Figures, Origin, TimeFigures};
 use crate::stop_state::StopFigure;
 use crate::stop_watch::RoomStops;
+use crate::sums::SumFigures;
 
 /// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
 pub(super) const POLICY: Color = Color::Rgb(0x56, 0xB4, 0xE9);
@@ -49,16 +50,11 @@ pub(super) fn line(figures: &Figures) -> String {
         figures.tick,
         figures.array.state,
         figures.users.len(),
-        sum_name(sum),
+        sum.name(),
         sum.policy,
         time(decision, |us| us.p99),
         time(round, |us| us.p99),
     )
-}
-
-/// The name of a sum rate.
-pub(super) fn sum_name(sum: &SumFigures) -> &'static str {
-    if sum.is_modelled { "modelled sum rate" } else { "sum rate" }
 }
 
 /// The known sum rates by name, the policy first.
@@ -80,7 +76,7 @@ pub(crate) fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f
 pub(crate) fn why_without_rates(figures: &Figures) -> &'static str {
     match figures.origin {
         Origin::NoData => "no messages from the room",
-        Origin::Simulated | Origin::Measured => "no measured gains",
+        Origin::Simulated | Origin::Real => "no measured gains",
     }
 }
 
@@ -89,7 +85,7 @@ pub(super) fn without_rates(figures: &Figures) -> String {
     let why = why_without_rates(figures);
     match figures.origin {
         Origin::NoData => why.to_owned(),
-        Origin::Simulated | Origin::Measured => {
+        Origin::Simulated | Origin::Real => {
             format!("tick {:>6}  {}  sum rate unknown: {why}", figures.tick, figures.array.state)
         }
     }

@@ -8,7 +8,7 @@ use heliostat_bus::Presence;
 use heliostat_channel::Vec3;
 use heliostat_proto::{
     BeliefReport, ChannelReport, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth,
-    SumRates, UserReport, make_place,
+    UserReport, make_place,
 };
 use heliostat_scenario::WALKING_M_S;
 use heliostat_service::clock::utc_ns;
@@ -16,10 +16,10 @@ use heliostat_service::clock::utc_ns;
 use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::expiry::EXPIRY;
-use crate::in_charge::InCharge;
 use crate::latency::{Histogram, Window};
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements};
+use crate::sums::PastSum;
 use crate::telemetry_ages::TelemetryAges;
 
 /// Time span of the chart of sum rates.
@@ -32,14 +32,6 @@ const SOURCE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
-
-/// Sum rates at an instant, and what the mirrors followed then, for the chart.
-#[derive(Clone, Debug)]
-pub(crate) struct Sample {
-    pub at: Instant,
-    pub sum: SumRates,
-    pub in_charge: InCharge,
-}
 
 /// The latest messages of a room.
 #[derive(Default)]
@@ -70,7 +62,8 @@ pub(crate) struct Received {
     pub alive: BTreeSet<(&'static str, u64)>,
     /// When one of them last left it.
     pub left_at: Option<Instant>,
-    pub history: VecDeque<Sample>,
+    /// Sum rates for the chart, with the arrival of the report of the room that they are of.
+    pub history: VecDeque<(Instant, PastSum)>,
     pub latency: Window,
     pub problems: Problems,
     /// The controllers of the room.
@@ -120,6 +113,26 @@ impl Received {
     /// Whether a recent message has the positions of the users.
     pub fn has_users(&self) -> bool {
         Self::fresh(&self.truth).is_some() || Self::fresh(&self.users).is_some()
+    }
+
+    /// When the report arrived that the figures of the users come from: the truth while it is fresh.
+    pub fn reported_at(&self) -> Option<Instant> {
+        let truth = self.truth.as_ref().map(|(at, _)| *at);
+        let users = self.users.as_ref().map(|(at, _)| *at);
+        if Self::fresh(&self.truth).is_some() { truth } else { users.or(truth) }
+    }
+
+    /// Keeps the sum rates of the present report of the room, unless those of this report, or of one shortly before it,
+    /// are kept: a simulated room and a real one have one history.
+    pub fn keep_sum(&mut self, sum: PastSum) {
+        let Some(at) = self.reported_at() else { return };
+        if self.history.back().is_some_and(|(last, _)| at.saturating_duration_since(*last) < HISTORY_STEP) {
+            return;
+        }
+        self.history.push_back((at, sum));
+        while self.history.front().is_some_and(|(first, _)| at.saturating_duration_since(*first) > HISTORY) {
+            self.history.pop_front();
+        }
     }
 
     /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array
@@ -275,15 +288,7 @@ impl Received {
     }
 
     pub(super) fn take_truth(&mut self, truth: RoomTruth) {
-        let at = Instant::now();
-        if self.history.back().is_none_or(|last| at - last.at >= HISTORY_STEP) {
-            let in_charge = self.in_charge();
-            self.history.push_back(Sample { at, sum: truth.sum_rate_bps, in_charge });
-        }
-        while self.history.front().is_some_and(|first| at - first.at > HISTORY) {
-            self.history.pop_front();
-        }
-        self.truth = Some((at, truth));
+        self.truth = Some((Instant::now(), truth));
     }
 
     pub(super) fn take_telemetry(&mut self, array: usize, telemetry: MirrorTelemetry) {

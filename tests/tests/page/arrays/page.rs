@@ -86,6 +86,10 @@ fn the_page_names_the_array_whose_driver_has_left() {
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
         let unusable = || shown(&browser, "room.motion.to?.unusable");
         wait_until("a frame in which every mirror is usable", || unusable() == json!([]));
+        let kept = "return fetch('/room.json').then((answer) => answer.json()).then(({ history }) => history.length)";
+        wait_until("sum rates that the server keeps for a page that is loaded again", || {
+            browser.run(kept).as_u64().is_some_and(|count| count > 1)
+        });
 
         later.request();
         second_driver.join().expect("no panic").expect("a driver that ends");

@@ -36,8 +36,8 @@ fn a_state_that_a_narrow_window_cuts_off_has_its_text_or_more_as_its_tooltip() {
     // In one script, before the next figures.
     let script = "return import('/figures.js').then(({ chips }) => { \
            const now = { in_charge: { name: 'greedy', idle: '' }, policy: 'greedy', network: '', controller_alive: true, \
-             nodes: [], controllers: [], origin: 'measured', array: { state: 'following', unusable: 0 } }; \
-           const fresh = { isStale: () => false, of: () => 0 }; \
+             nodes: [], controllers: [], origin: 'real', array: { state: 'following', unusable: 0 } }; \
+           const fresh = { isStale: () => false, isUnknown: () => false, of: () => 0 }; \
            const titles = (more) => { chips({ ...now, ...more }, fresh, null); \
              return ['policy', 'array', 'controller', 'room'].map((part) => document.getElementById(`chip-${part}`).title); }; \
            return [...titles({}), titles({ in_charge: { name: 'stopped', idle: 'A stop is in force.' } })[0]]; })";

@@ -75,20 +75,16 @@ fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
 
 #[needs("browser")]
 #[test]
-fn a_long_path_in_a_text_does_not_widen_the_page_of_a_phone() {
+fn the_name_of_the_room_is_complete_in_a_narrow_window() {
     let (_setting, browser) = Setting::shown();
-    browser.resize(390, 844);
-    // In one script, before the next event of the server takes the texts away.
-    let wider = "document.getElementById('events').open = true; \
-        return ['banner', 'problem', 'sentence', 'refused', 'remark', 'order-status', 'last-event', 'late', 'policy-help'].filter((id) => { \
-          const part = document.getElementById(id); \
-          const before = part.textContent; \
-          part.hidden = false; \
-          part.textContent = `/${'a-long-folder-name/'.repeat(12)}room.toml`; \
-          const isWider = document.documentElement.scrollWidth > innerWidth; \
-          part.textContent = before; \
-          return isWider; })";
-    assert_eq!(browser.run(wider), json!([]));
+    let complete = "const where = document.getElementById('where'); \
+         const line = document.getElementById('emergency').getBoundingClientRect(); \
+         const { top, bottom } = where.getBoundingClientRect(); \
+         return [where.scrollWidth <= where.clientWidth && where.scrollHeight <= where.clientHeight, top < line.bottom && bottom > line.top]";
+    for (width, height) in [(900, 768), (1024, 768), (1200, 800), (1280, 800)] {
+        browser.resize(width, height);
+        assert_eq!(browser.run(complete), json!([true, true]), "{width} x {height}");
+    }
 }
 
 #[needs("browser")]
@@ -138,6 +134,22 @@ fn the_column_of_figures_scrolls_to_the_decision_times_behind_the_open_log_of_ev
              column.scrollTop = 0; \
              return found";
         assert_eq!(browser.run(seen), json!([true, true, true]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn the_log_of_events_opens_with_the_decision_times_in_view_above_it() {
+    let (_setting, browser) = Setting::shown();
+    let seen = "const at = (id) => document.getElementById(id); \
+         const [chart, table, list, column] = ['latency-chart', 'quantiles', 'event-list', 'rates'].map((id) => at(id)); \
+         const [top, list_top] = [chart.getBoundingClientRect().top, list.getBoundingClientRect().top]; \
+         return [top >= column.parentElement.getBoundingClientRect().top, table.getBoundingClientRect().bottom <= list_top]";
+    for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
+        browser.resize(width, height);
+        browser.run("document.getElementById('rates').parentElement.scrollTop = 0; document.getElementById('events').open = true");
+        wait_until(&format!("chart, times and log at {width} x {height}"), || browser.run(seen) == json!([true, true]));
+        browser.run("document.getElementById('events').open = false");
     }
 }
 
@@ -257,23 +269,6 @@ fn the_names_of_earlier_policies_are_above_the_lines_of_a_chart_that_keeps_its_s
 
 #[needs("browser")]
 #[test]
-fn the_figures_of_a_user_are_in_one_line_on_a_phone_and_not_cut_off_on_a_smaller_one() {
-    let (_setting, browser) = Setting::shown();
-    // Long figures, in one script before the next ones.
-    let shown = "for (const { cells } of document.querySelectorAll('#users tr')) { \
-           [cells[1].textContent, cells[3].textContent, cells[4].textContent] = ['by order', 'below 1.0', '23 %, 1.2 s']; \
-           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' > 999 %']; } \
-         const rates = document.getElementById('rates'); \
-         const heights = [...document.querySelectorAll('#users td')].map((cell) => cell.clientHeight); \
-         return [rates.scrollWidth <= rates.clientWidth, Math.max(...heights) < 26]";
-    browser.resize(390, 844);
-    assert_eq!(browser.run(shown), json!([true, true]));
-    browser.resize(360, 640);
-    assert_eq!(browser.run(shown)[0], json!(true));
-}
-
-#[needs("browser")]
-#[test]
 fn the_charts_stay_readable_beside_notes_and_a_calibration() {
     let (_setting, browser) = Setting::shown();
     for (width, height) in [(1366, 768), (1366, 657), (1920, 1080), (390, 844)] {
@@ -303,22 +298,6 @@ fn the_charts_stay_readable_below_the_banner_of_a_stop() {
         let heights: [u64; 2] = serde_json::from_value(browser.run(heights)).expect("two heights");
         assert!(heights.iter().all(|height| *height >= 120), "{heights:?} at {width} x {height}");
     }
-}
-
-#[needs("browser")]
-#[test]
-fn what_is_no_fault_takes_no_place_above_the_figures_of_a_phone() {
-    let (_setting, browser) = Setting::shown();
-    browser.resize(390, 844);
-    // In one script, before the next figures.
-    let places = "scrollTo(0, 0); const at = (id) => document.getElementById(id); const remark = at('remark'); \
-         const top = () => at('sentence').getBoundingClientRect().top; \
-         const before = top(); \
-         remark.hidden = false; \
-         remark.textContent = 'A controller differs from the room in what a calibration measures. '.repeat(12); \
-         const end = document.querySelector('main').getBoundingClientRect().bottom; \
-         return [top() === before, remark.getBoundingClientRect().top >= end, remark.scrollHeight <= remark.clientHeight]";
-    assert_eq!(browser.run(places), json!([true, true, true]));
 }
 
 /// The texts of the page whose contrast to their background is below 4.5, with the contrast.
@@ -367,20 +346,6 @@ fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
     wait_until("old parts", || browser.run("return document.querySelectorAll('section.stale').length >= 4") == true);
     wait_until("what is wrong", || !browser.text("#problem").is_empty());
     check("an old room");
-}
-
-#[needs("browser")]
-#[test]
-fn a_phone_has_the_complete_name_of_the_room_and_parts_that_a_finger_hits() {
-    let (_setting, browser) = Setting::shown();
-    browser.resize(390, 844);
-    let shown = "const where = document.getElementById('where'); \
-         const small = [...document.querySelectorAll('button, select, summary, .switch')].filter((part) => { \
-           const { width, height } = part.getBoundingClientRect(); \
-           return part.checkVisibility() && (width < 38 || height < 32); }); \
-         return [small.map((part) => part.id || part.textContent), \
-           where.scrollWidth <= where.clientWidth && where.scrollHeight <= where.clientHeight]";
-    assert_eq!(browser.run(shown), json!([[], true]));
 }
 
 #[needs("browser")]

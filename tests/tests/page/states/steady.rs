@@ -85,6 +85,33 @@ fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
 
 #[needs("browser")]
 #[test]
+fn users_who_come_or_go_move_no_order_and_disable_the_buttons_of_absent_users() {
+    let (_setting, browser) = Setting::shown();
+    // The places of all orders and the enabled choices with 2, 9 and 3 users. In one step, before the next figures.
+    let script = "return Promise.all([import('/orders.js'), ...['room', 'events'].map((name) => fetch(`/${name}.json`).then((answer) => answer.json()))]) \
+           .then(([{ Orders }, plan, { figures }]) => { \
+             const orders = new Orders(); \
+             orders.open(plan); \
+             return [2, 9, 3].map((count) => { \
+               orders.update({ ...figures, users: Array.from({ length: count }, (_, user) => ({ ...figures.users[0], user })) }); \
+               const places = [...document.querySelectorAll('#operate :is(button, select)')].map((part) => { \
+                 const { left, top } = part.getBoundingClientRect(); return [left, top]; }); \
+               return [places, document.querySelectorAll('#blocked button:enabled').length]; }); })";
+    for (width, height) in [(390, 844), (1024, 768), (1280, 800), (1920, 1080)] {
+        browser.resize(width, height);
+        let found: [(Vec<[f64; 2]>, usize); 3] = serde_json::from_value(browser.run(script)).expect("places");
+        let [(few, of_few), (many, of_many), (again, of_again)] = found;
+        assert!(are_kept(&few, &many) && are_kept(&many, &again), "{width} x {height}: {few:?} {many:?} {again:?}");
+        assert_eq!([of_few, of_many, of_again], [3, 9, 4], "{width} x {height}");
+    }
+    let reasons =
+        "return import('/orders.js').then(({ tooFew }) => [tooFew(2, 2), tooFew(1, 0), tooFew(2, 1), tooFew(8, 5)])";
+    let expected = ["", "no user is in the room", "only 1 user is in the room", "only 5 users are in the room"];
+    assert_eq!(browser.run(reasons), json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_line_of_events_is_complete_in_view_below_warnings() {
     let (mut setting, browser) = Setting::shown();
     setting.room.kill();
@@ -124,7 +151,7 @@ fn a_disabled_order_has_its_own_reason() {
     let script = "return import('/orders.js').then(({ reasons }) => { \
            const of = (plan, now, policy = 'greedy') => Object.values(reasons(plan, { origin: 'simulated', controller_alive: true, ...now }, policy)); \
            const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
-           return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'measured' }), \
+           return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'real' }), \
              of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
     let absent = "no controller is in the room";
     let foreign = "only `heliostat demo` can kill or restart the processes that it started";
@@ -156,6 +183,35 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
            return [sent, orders.message?.text]; })";
     let expected = json!([[["order", r#"{"order":"stop"}"#]], "STOP: sent"]);
     assert_eq!(browser.run(sent), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn what_is_unknown_at_the_start_is_neither_red_nor_gone() {
+    let (_setting, browser) = Setting::shown();
+    // Before the first figures, then with those of a server to which nothing has reported. In one step, before the next
+    // figures of the open page.
+    let script = "return Promise.all([import('/stale.js'), import('/figures.js')]).then(([{ Ages }, { chips }]) => { \
+           const parts = [...document.querySelectorAll('section[data-from]')]; \
+           const red = () => parts.filter((part) => part.classList.contains('stale') && !part.classList.contains('unknown')).map(({ id }) => id); \
+           for (const part of parts) part.classList.remove('stale'); \
+           const ages = new Ages(() => {}); \
+           ages.mark(); \
+           const before = parts.filter((part) => part.classList.contains('stale')).length; \
+           const now = { ages_s: {}, in_charge: { name: 'no report', idle: 'unknown' }, nodes: [], controller_alive: false, \
+             controller_unseen: false, array: { state: 'no report', unusable: 0 }, origin: 'no-data' }; \
+           ages.take(now); \
+           ages.mark(); \
+           chips(now, ages, null); \
+           const states = ['array', 'controller', 'room'].map((part) => document.getElementById(`chip-${part}`)); \
+           const found = [before, red(), states.map(({ textContent, className }) => [textContent, className]), \
+             getComputedStyle(document.getElementById('rates'), '::after').backgroundColor]; \
+           ages.take({ ages_s: { array: 9 } }); \
+           chips({ ...now, ages_s: { array: 9 } }, ages, null); \
+           return [...found, states[0].className]; })";
+    let unknown = ["no report", "old"];
+    let expected = json!([0, [], [unknown, unknown, unknown], "rgb(52, 73, 94)", "bad"]);
+    assert_eq!(browser.run(script), expected);
 }
 
 #[needs("browser")]

@@ -56,6 +56,30 @@ fn a_blocked_path_has_the_colour_of_the_legend_in_both_themes() {
 
 #[needs("browser")]
 #[test]
+fn another_theme_is_drawn_at_once_also_where_pictures_are_rare() {
+    let (_setting, browser) = Setting::shown();
+    // In one step, without a further picture of the room. The colours of the floor in the theme and in the other one.
+    let script = "return import('/geometry.js').then(({ palette }) => { \
+           const { room } = document.getElementById('room'); \
+           const canvas = document.querySelector('#room canvas'); \
+           const isDrawn = (colour) => { \
+             const [red, green, blue] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16)); \
+             const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+             let count = 0; \
+             for (let at = 0; at < data.length; at += 4) count += data[at] === red && data[at + 1] === green && data[at + 2] === blue; \
+             return count > 1000; }; \
+           room.nextDraw = Infinity; \
+           const found = ['first', 'second', 'third'].map(() => { \
+             document.getElementById('theme').click(); \
+             const isDark = document.documentElement.dataset.theme === 'dark'; \
+             return [isDrawn(palette(isDark).floor), isDrawn(palette(!isDark).floor)]; }); \
+           room.nextDraw = 0; \
+           return found; })";
+    assert_eq!(browser.run(script), serde_json::json!([[true, false], [true, false], [true, false]]));
+}
+
+#[needs("browser")]
+#[test]
 fn users_who_are_present_have_different_colours_and_keep_them() {
     let setting = Setting::with(&["--set", "users.count=17"]);
     let browser = setting.browser();
@@ -125,7 +149,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     // Figures, a share of the oracle's rate, and a frame of different instants: a rate is of the instant of its share.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
-             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, min_rate_mbps: 1 }] }; \
+             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, compared_mbps: 4.5, min_rate_mbps: 1 }] }; \
            const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
            const shown = (wall) => { \
              users(now, { wall }, frame, { of: () => null }); \
@@ -198,59 +222,6 @@ fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() 
 
 #[needs("browser")]
 #[test]
-fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
-    let (_setting, browser) = Setting::shown();
-    let script = "return import('/outages.js').then(({ Outages }) => { \
-           const outages = new Outages(); \
-           const at = (time_s, rate_mbps) => \
-             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
-           for (let time_s = 0; time_s <= 10; time_s += 1) at(time_s, time_s >= 2 && time_s < 5 ? 0.5 : 2); \
-           const { share, longest_s } = outages.of(3); \
-           for (let time_s = 11; time_s <= 70; time_s += 1) at(time_s, 2); \
-           const later = outages.of(3).share; \
-           outages.take({ time_s: 74, origin: 'no-data', users: [] }); \
-           const silent = outages.of(3) !== null; \
-           at(80, 2); \
-           return [share, longest_s, later, outages.of(9), silent, outages.of(3)]; })";
-    let found = browser.run(script);
-    assert_eq!(found, serde_json::json!([0.3, 3, 0, null, true, null]), "the time of a silence is not observed");
-    // Outages of 1 s, 2 s and 4 s: the quantiles are linear between them.
-    let script = "return import('/outages.js').then(({ Outages }) => { \
-           const outages = new Outages(); \
-           const below = [1, 3, 4, 6, 7, 8, 9]; \
-           for (let time_s = 0; time_s <= 12; time_s += 1) { \
-             const rate_mbps = below.includes(time_s) ? 0.5 : 2; \
-             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
-           } \
-           const { count, p50_s, p95_s, longest_s } = outages.of(3); \
-           return [count, p50_s, Math.round(10 * p95_s) / 10, longest_s]; })";
-    assert_eq!(browser.run(script), serde_json::json!([3, 2, 3.8, 4]));
-}
-
-#[needs("browser")]
-#[test]
-fn an_outage_names_the_time_in_which_its_user_was_observed() {
-    let (_setting, browser) = Setting::shown();
-    let script = "return Promise.all([import('/outages.js'), import('/figures.js')]).then(([{ Outages }, { outageLengths }]) => { \
-           const outages = new Outages(); \
-           const texts = []; \
-           for (let time_s = 0; time_s <= 80; time_s += 1) { \
-             const rate_mbps = time_s === 1 ? 0.5 : 2; \
-             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
-             if ([0, 1, 3, 80].includes(time_s)) texts.push(outageLengths(outages.of(3))); \
-           } \
-           return texts; })";
-    let expected = [
-        "",
-        "no outage in the last 1.0 s",
-        "1 outage in the last 3.0 s: p50 1.0 s, p95 1.0 s",
-        "no outage in the last 60 s",
-    ];
-    assert_eq!(browser.run(script), serde_json::json!(expected));
-}
-
-#[needs("browser")]
-#[test]
 fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
     let browser = setting.browser();
@@ -282,7 +253,9 @@ fn the_sentence_says_what_is_unknown() {
         browser.run(&script).as_str().expect("a text").to_owned()
     };
     let now = |users: &str, sum: &str| {
-        format!("{{ origin: 'simulated', ages_s: {{ room: 0 }}, nodes: [], users: [{users}], sum_mbps: {sum} }}")
+        format!(
+            "{{ origin: 'simulated', ages_s: {{ room: 0 }}, nodes: [], users: [{users}], sum_mbps: {sum}, sum_name: 'sum rate' }}"
+        )
     };
     let sum = "{ policy: 92, no_irs: 30 }";
     assert_eq!(
@@ -329,7 +302,7 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
-           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users }; \
+           const now = { origin: 'real', ages_s: { room: 0 }, nodes: [], users, sum_name: 'modelled sum rate' }; \
            const of = (sum_mbps) => sentence({ ...now, sum_mbps }, 0.1, { wall: true }); \
            return [of({ policy: 45, no_irs: 12, is_modelled: true }), of(null)]; })";
     let expected = [
@@ -341,8 +314,8 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
     let titles = "return import('/charts.js').then(({ Charts }) => { \
            const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
            charts.theme(); \
-           const title = (sum) => { charts.figures(sum); return document.getElementById('sums-title').textContent; }; \
-           return [title({ policy: 45, is_modelled: true }), title({ policy: 45 })]; })";
+           const title = (name) => { charts.figures({ policy: 45 }, name); return document.getElementById('sums-title').textContent; }; \
+           return ['modelled sum rate', 'sum rate'].map(title); })";
     let expected = ["Modelled sum rate of all users, last 90 s, Mbit/s", "Sum rate of all users, last 90 s, Mbit/s"];
     assert_eq!(browser.run(titles), serde_json::json!(expected));
 }

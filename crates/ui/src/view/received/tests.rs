@@ -1,8 +1,9 @@
 //! Tests of what a view keeps.
 
-use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp, TruthUser, UserState};
+use heliostat_proto::{SOURCES_MAX, Stamp, TruthUser, UserState};
 
 use super::*;
+use crate::sums::SumFigures;
 
 fn status(source: u64, decisions: u64, standby: u64) -> NodeStatus {
     NodeStatus {
@@ -108,17 +109,23 @@ fn a_user_who_stands_still_keeps_its_heading_until_it_leaves() {
 }
 
 #[test]
-fn the_history_keeps_what_the_mirrors_followed_at_each_time() {
+fn the_history_has_one_entry_for_each_report_of_a_simulated_or_a_real_room() {
     let mut received = Received::default();
-    received.alive.insert((NodeKind::Controller.name(), 1));
-    received.take_status(0, NodeStatus { policy: "greedy".into(), ..status(1, 500, 0) });
-    for state in [ArrayState::Following, ArrayState::Stopped] {
-        received.arrays.note(0, MirrorTelemetry { state, ..MirrorTelemetry::default() });
-        received.take_truth(RoomTruth::default());
-        received.history.iter_mut().for_each(|sample| sample.at -= HISTORY_STEP);
+    let sum = |name: &str| PastSum { sum: SumFigures::default(), name: name.into(), idle: false };
+    received.keep_sum(sum("before any report"));
+    let now = Instant::now();
+    for (ms, name) in [(900, "first"), (900, "of the same report"), (850, "shortly after"), (600, "second")] {
+        received.users = Some((now - Duration::from_millis(ms), UserReport::default()));
+        received.keep_sum(sum(name));
     }
-    let followed: Vec<&str> = received.history.iter().map(|sample| sample.in_charge.name.as_str()).collect();
-    assert_eq!(followed, ["greedy", "stopped"]);
+    received.truth = Some((now, RoomTruth::default()));
+    received.keep_sum(sum("of the truth"));
+    let kept: Vec<&str> = received.history.iter().map(|(_, sum)| sum.name.as_str()).collect();
+    assert_eq!(kept, ["first", "second", "of the truth"]);
+    received.truth = Some((now + HISTORY, RoomTruth::default()));
+    received.keep_sum(sum("much later"));
+    let kept: Vec<&str> = received.history.iter().map(|(_, sum)| sum.name.as_str()).collect();
+    assert_eq!(kept, ["of the truth", "much later"], "the span of the chart");
 }
 
 #[test]

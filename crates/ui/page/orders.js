@@ -36,7 +36,7 @@ export function reasons(plan, now, policy) {
   if (!now) return { rearm: AWAITED, policy: AWAITED, room: AWAITED, kill: AWAITED, restart: AWAITED };
   const limit = plan.stop_only ?? "";
   const foreign = plan.controls_processes ? "" : "only `heliostat demo` can kill or restart the processes that it started";
-  const absent = now.controller_alive ? "" : "no controller is in the room";
+  const absent = now.controller_alive ? "" : "the page sees no controller";
   const silent = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
   return {
     rearm: limit,

@@ -126,7 +126,7 @@ fn a_disabled_order_has_its_own_reason() {
            const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
            return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'measured' }), \
              of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
-    let absent = "no controller is in the room";
+    let absent = "the page sees no controller";
     let foreign = "only `heliostat demo` can kill or restart the processes that it started";
     let expected: Value = json!([
         ["", "", "", "", ""],

@@ -165,7 +165,7 @@ export class Orders {
       // The next event has the answer of the receiver to an order that reached the server; before the first one the page
       // says what the server has answered.
       const isInEvents = answer.ok || answer.status === 503 || answer.status === 422;
-      const text = refusal === null ? `${BUTTONS[order.order]}: sent` : `refused: ${refusal}`;
+      const text = isInEvents ? `${BUTTONS[order.order]}: ${refusal ?? "sent"}` : `refused: ${refusal}`;
       this.own(isInEvents && this.hasFigures ? null : text, isInEvents);
     } catch (error) {
       if (!(error instanceof Unanswered)) throw error;

@@ -148,16 +148,21 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
            const stop = document.getElementById('stop'); \
            stop.replaceWith(stop.cloneNode(true)); \
            const [sent, send] = [[], window.fetch]; \
-           window.fetch = async (path, { body }) => { sent.push([path, body]); return new Response(null, { status: 202 }); }; \
+           const answers = [new Response(null, { status: 202 }), \
+             new Response('no array received it', { status: 503, headers: { 'content-type': 'text/plain' } })]; \
+           window.fetch = async (path, { body }) => { sent.push([path, body]); return answers.shift(); }; \
            const orders = new Orders(); \
            document.getElementById('stop').click(); \
            await new Promise((resolve) => setTimeout(resolve)); \
+           const said = [orders.message?.text]; \
+           await orders.send({ order: 'stop' }); \
+           said.push(orders.message?.text); \
            window.fetch = send; \
-           const said = orders.message?.text; \
            orders.answers([{ text: 'stop: done', state: 'done' }]); \
            return [sent, said, orders.status.textContent]; })";
-    // The answer in the first figures replaces that of the page.
-    let expected = json!([[["order", r#"{"order":"stop"}"#]], "STOP: sent", "stop: done"]);
+    // A stop without an array is held, and not refused. The answer in the first figures replaces that of the page.
+    let stop = json!(["order", r#"{"order":"stop"}"#]);
+    let expected = json!([[stop, stop], ["STOP: sent", "STOP: no array received it"], "stop: done"]);
     assert_eq!(browser.run(sent), expected);
 }
 

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde_json::{Value, json};
@@ -28,16 +29,30 @@ const SOFTWARE_3D: [&str; 2] = ["--use-angle=swiftshader", "--enable-unsafe-swif
 /// Flags for a browser without WebGL.
 const FLAT: [&str; 2] = ["--disable-gpu", "--disable-3d-apis"];
 
+/// Time limit for an answer of the driver: a browser that hangs ends its test. A script has a shorter one.
+const ANSWER_LIMIT: Duration = Duration::from_secs(2 * TIME_LIMIT.as_secs());
+
 /// A browser with one page; it ends when dropped.
 ///
 /// It takes a [`Turn`].
 pub struct Browser {
-    driver: Child,
     /// Address of the session.
     session: String,
+    // Dropped after the session ended, and before the profile.
+    _driver: Driver,
     _profile: tempfile::TempDir,
     // Dropped last, after the browser ended.
     _turn: Turn,
+}
+
+/// A chromedriver, also of a browser that does not start; it ends when dropped.
+struct Driver(Child);
+
+impl Drop for Driver {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
 }
 
 impl Browser {
@@ -61,9 +76,10 @@ impl Browser {
         let turn = Turn::wait();
         let mut command = Command::new("chromedriver");
         command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut driver = command.spawn().expect("chromedriver starts");
-        let port = announced_port(&mut driver);
+        // Before the driver, whose browser writes into it.
         let profile = tempfile::tempdir().expect("a temporary folder");
+        let mut driver = Driver(command.spawn().expect("chromedriver starts"));
+        let port = announced_port(&mut driver.0);
         let mut flags: Vec<String> = FLAGS.map(String::from).into();
         flags.push(format!("--user-data-dir={}", profile.path().display()));
         flags.extend(more.iter().map(|flag| (*flag).to_owned()));
@@ -73,7 +89,7 @@ impl Browser {
         let session =
             call(&sessions, &json!({ "capabilities": capabilities })).expect("chromedriver starts a Chromium");
         let id = session["sessionId"].as_str().expect("a session has an id");
-        let browser = Self { driver, session: format!("{sessions}/{id}"), _profile: profile, _turn: turn };
+        let browser = Self { session: format!("{sessions}/{id}"), _driver: driver, _profile: profile, _turn: turn };
         browser.command("url", &json!({ "url": url }));
         browser
     }
@@ -83,7 +99,9 @@ impl Browser {
     /// # Panics
     /// When the browser refuses.
     pub fn tab(&self) -> String {
-        let handle: Value = ureq::get(format!("{}/window", self.session))
+        let request = ureq::get(format!("{}/window", self.session));
+        let request = request.config().timeout_global(Some(ANSWER_LIMIT)).build();
+        let handle: Value = request
             .call()
             .and_then(|mut answer| answer.body_mut().read_json())
             .unwrap_or_else(|error| panic!("no tab: {error}"));
@@ -223,15 +241,13 @@ impl Browser {
 impl Drop for Browser {
     fn drop(&mut self) {
         // If this fails, the browser ends with its driver.
-        let _ = ureq::delete(&self.session).call();
-        self.driver.kill().ok();
-        self.driver.wait().ok();
+        let _ = ureq::delete(&self.session).config().timeout_global(Some(ANSWER_LIMIT)).build().call();
     }
 }
 
 /// The value of a WebDriver response, or its error message.
 fn call(url: &str, body: &Value) -> Result<Value, String> {
-    let request = ureq::post(url).config().http_status_as_error(false).build();
+    let request = ureq::post(url).config().http_status_as_error(false).timeout_global(Some(ANSWER_LIMIT)).build();
     let mut answer = request.send_json(body).map_err(|error| error.to_string())?;
     let is_success = answer.status().is_success();
     let mut answer: Value = answer.body_mut().read_json().map_err(|error| error.to_string())?;

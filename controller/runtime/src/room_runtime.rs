@@ -221,7 +221,7 @@ impl RoomRuntime {
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
             silent_peers: self.peers.silent(&peers, Instant::now()),
-            standby_missing: self.peers.is_standby_missing(&peers),
+            standby_missing: self.peers.is_standby_missing(&peers, Instant::now()),
             peers,
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));

@@ -26,10 +26,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, join_through};
-use heliostat_service::duration;
+use heliostat_service::exit::Interrupted;
+use heliostat_service::{Stop, duration};
 
-use self::report::NOT_STOPPED_AGAIN;
 pub use self::report::{Finding, Report, Verdict};
+use self::report::{NOT_STOPPED_AGAIN, STOPPED_AGAIN};
 use self::room_in_use::expect_no_controller;
 use self::test_session::TestSession;
 
@@ -40,11 +41,13 @@ const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 const WAIT_SHOWN_AFTER: Duration = Duration::from_secs(1);
 
 /// Checks the driver of the array of a room with this index, and waits for its start at most `wait`. `show` takes a line
-/// before each rule. An array that was stopped is stopped again at the end.
+/// before each rule. An array that was stopped is stopped again at the end, also where `end` is requested before the last
+/// rule.
 ///
 /// # Errors
-/// No driver in the room, a controller that would interfere, a transport that fails.
-pub fn run(config: &BusConfig, array: usize, wait: Duration, show: &dyn Fn(String)) -> Result<Report> {
+/// No driver in the room, a controller that would interfere, a stop of an operator, a transport that fails;
+/// [`Interrupted`] where `end` is requested.
+pub fn run(config: &BusConfig, array: usize, wait: Duration, end: &Stop, show: &dyn Fn(String)) -> Result<Report> {
     expect_no_controller_through(config)?;
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
@@ -71,7 +74,9 @@ pub fn run(config: &BusConfig, array: usize, wait: Duration, show: &dyn Fn(Strin
             ));
         }
         has_waited = true;
-        std::thread::sleep(Duration::from_millis(50));
+        if end.wait_for(Duration::from_millis(50)) {
+            return Err(Interrupted).context("nothing was sent");
+        }
     }
     // The driver that has come may be the one that reaches a controller.
     if has_waited {
@@ -79,12 +84,13 @@ pub fn run(config: &BusConfig, array: usize, wait: Duration, show: &dyn Fn(Strin
     }
     expect_no_controller(&bus)?;
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
-    let findings = rules::judge(&mut session, show);
-    // Also where a rule could not be tried.
+    let findings = rules::judge(&mut session, end, show);
+    // Also where a rule could not be tried, and after a signal.
     let is_stopped = session.stop_again();
     let findings = match is_stopped {
+        None => findings?,
+        Some(true) => findings.context(STOPPED_AGAIN)?,
         Some(false) => findings.context(NOT_STOPPED_AGAIN)?,
-        _ => findings?,
     };
     let report = Report {
         room: room.to_string(),

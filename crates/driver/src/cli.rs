@@ -9,6 +9,7 @@ use heliostat_array::Kit;
 use heliostat_bus::{AccessRole, BusArgs, BusConfig};
 use heliostat_proto::{MAX_ARRAYS, Room, Stamp};
 use heliostat_service::exit::UnusableInput;
+use heliostat_service::signals::stop_on_signals;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, duration, output};
 
 use crate::config::Config;
@@ -34,7 +35,8 @@ enum Command {
     /// if the device does not answer, or if an array that was stopped does not stop again.
     ///
     /// An array that starts stopped because its last state is unknown is re-armed first, and stopped
-    /// again at the end. A stop of an operator stays in force: the check then ends with an error.
+    /// again at the end, also after Ctrl-C, which ends the check after the present rule. A stop of an
+    /// operator stays in force, also one during the check: the check then ends with an error.
     Check(CheckArgs),
 }
 
@@ -163,7 +165,14 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         let (room, named) = array_of(key)?;
         (flags.room, array) = (Some(room.to_string()), named);
     }
-    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array, args.wait, &output::note)?;
+    let config = flags.config_or_connect(&[AccessRole::Checker])?;
+    let end = stop_on_signals()?;
+    let requested = end.clone();
+    std::thread::spawn(move || {
+        requested.wait();
+        output::note("the check ends after the present rule, and an array that was stopped before it is stopped again");
+    });
+    let report = check::run(&config, array, args.wait, &end, &output::note)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {

@@ -1,7 +1,7 @@
 // The figures beside the room: state chips, users, counters, times and problems.
 import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
-import { asSentence, duration, isCalibrating, noReport, refusal } from "./sentence.js";
+import { asSentence, duration, isCalibrating, noReport, rateOf, refusal } from "./sentence.js";
 
 export const at = (id) => document.getElementById(id);
 export const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -47,10 +47,9 @@ export function chips(now, ages, file) {
 }
 
 // The users of the table with their rates. Without the mirrors they are those of the frame that the picture shows, so
-// that direct path, rate and picture are of one report. With the mirrors, a rate with a share of the oracle's is that of
-// the instant of the share.
+// that direct path, rate and picture are of one report.
 function rated(now, shown, frame) {
-  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.compared_mbps ?? user.rate_mbps : null }));
+  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? rateOf(user) : null }));
   if (!frame) return now.users.map((user) => ({ ...user, rate: null }));
   return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
 }

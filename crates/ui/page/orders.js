@@ -42,7 +42,7 @@ export function reasons(plan, now, policy) {
   if (!now) return { rearm: AWAITED, policy: AWAITED, room: AWAITED, kill: AWAITED, restart: AWAITED };
   const limit = plan.stop_only ?? "";
   const foreign = plan.controls_processes ? "" : "only `heliostat demo` can kill or restart the processes that it started";
-  const absent = now.controller_alive ? "" : "no controller is in the room";
+  const absent = now.controller_alive ? "" : "the page sees no controller";
   const silent = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
   return {
     rearm: limit,
@@ -168,9 +168,11 @@ export class Orders {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
       const refusal = answer.ok ? null : await refusalIn(answer);
-      // The next event has the answer of the receiver to an order that reached the server, once events come.
-      const isInEvents = this.hasFigures && (answer.ok || answer.status === 503 || answer.status === 422);
-      this.own(isInEvents ? null : refusal === null ? `${BUTTONS[order.order]}: sent` : `refused: ${refusal}`);
+      // The next event has the answer of the receiver to an order that reached the server; before the first one the page
+      // says what the server has answered.
+      const isInEvents = answer.ok || answer.status === 503 || answer.status === 422;
+      const text = isInEvents ? `${BUTTONS[order.order]}: ${refusal ?? "sent"}` : `refused: ${refusal}`;
+      this.own(isInEvents && this.hasFigures ? null : text, isInEvents);
     } catch (error) {
       if (!(error instanceof Unanswered)) throw error;
       this.own(notConfirmed(order.order, error.message));
@@ -190,15 +192,16 @@ export class Orders {
     }
   }
 
-  // A message of the page itself.
-  own(text) {
-    this.message = text && { text, until: performance.now() + OWN_MESSAGE_MS };
+  // A message of the page itself; a provisional one ends with the first answer of an event.
+  own(text, isProvisional = false) {
+    this.message = text && { text, isProvisional, until: performance.now() + OWN_MESSAGE_MS };
     this.show();
   }
 
   // The newest order that still has something to say.
   answers(orders) {
     this.newest = orders[0] ?? null;
+    if (this.newest && this.message?.isProvisional) this.message = null;
     this.show();
   }
 

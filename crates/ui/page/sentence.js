@@ -26,11 +26,15 @@ function mirrorsIn({ sum_mbps: sum, sum_name: name }) {
   return gain > 0 ? `Mirrors add ${rounded(gain)} Mbit/s.` : `Mirrors take ${rounded(-gain)} Mbit/s away.`;
 }
 
+// The rate of a user with the mirrors, which the table and the sentence judge: one with a share of the oracle's is that of
+// the instant of the share.
+export const rateOf = ({ rate_mbps, compared_mbps }) => compared_mbps ?? rate_mbps;
+
 // How many users are below their minimum rate.
 function usersIn(users) {
   if (users.length === 0) return "No user is in the room.";
   const unknown = users.filter((user) => !user.is_rate_known).length;
-  const below = users.filter((user) => user.is_rate_known && user.rate_mbps < user.min_rate_mbps).length;
+  const below = users.filter((user) => user.is_rate_known && rateOf(user) < user.min_rate_mbps).length;
   const of = `of ${users.length} ${users.length === 1 ? "user" : "users"}`;
   const rest = unknown ? ` The rate of ${unknown} ${of} is unknown.` : "";
   if (below === users.length) return `${below === 1 ? "The user is" : `All ${below} users are`} below the minimum rate.`;

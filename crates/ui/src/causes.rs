@@ -191,13 +191,20 @@ pub(crate) struct NoteLines {
 const OUTLIVES_MS: u64 = EXPIRY.as_millis() as u64;
 
 impl NoteLines {
-    /// The notes that begin at this time in ms, and the lines of those that are over.
+    /// The notes of the last call that begin so.
+    pub fn beginning(&self, start: &str) -> Vec<String> {
+        self.notes.iter().filter(|note| note.starts_with(start)).cloned().collect()
+    }
+
+    /// The notes that begin at this time in ms, and the lines of those that are over. Faults that change are not over.
     pub fn next(&mut self, at_ms: u64, notes: &[String]) -> (Vec<String>, Vec<String>) {
         let before = std::mem::replace(&mut self.notes, notes.to_vec());
         let is_in = |notes: &[String], note: &str| notes.iter().any(|other| is_same(other, note));
         let has_no_line = |note: &str| self.outliving.iter().any(|(outliving, _)| is_same(outliving, note));
-        let ended =
-            not_in(&before, notes).into_iter().filter(|note| !has_no_line(note)).map(|note| over(note)).collect();
+        let are_faults = |note: &str| note.starts_with(FAULTS);
+        let goes_on = |note: &str| are_faults(note) && notes.iter().any(|other| are_faults(other));
+        let ended = not_in(&before, notes).into_iter().filter(|note| !has_no_line(note) && !goes_on(note));
+        let ended = ended.map(|note| over(note)).collect();
         let mut begun: Vec<String> = not_in(notes, &before).into_iter().cloned().collect();
         let has_outlived =
             |note: &&String| !is_in(&before, note) && before.iter().any(|cause| has_consequence(cause, note));

@@ -82,7 +82,7 @@ pub enum UiError {
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
-    #[error("no emergency stop is in force; nothing to release")]
+    #[error("no array that answers reports an emergency stop; nothing to release")]
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(
@@ -128,7 +128,10 @@ mod tests {
 
     #[test]
     fn a_release_without_a_stop_is_refused_in_one_clause() {
-        assert_eq!(UiError::NotStopped.to_string(), "no emergency stop is in force; nothing to release");
+        assert_eq!(
+            UiError::NotStopped.to_string(),
+            "no array that answers reports an emergency stop; nothing to release"
+        );
     }
 
     #[test]

@@ -15,7 +15,7 @@ use heliostat_service::log_limit::EventLimit;
 use heliostat_service::output;
 use heliostat_service::terminal::takes_escapes;
 
-use crate::causes::NoteLines;
+use crate::causes::{FAULTS, NoteLines};
 use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
@@ -161,7 +161,11 @@ impl Lines {
             }
             self.stops = stops.to_vec();
         }
-        let notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
+        let mut notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
+        // No fault is over because its array is silent.
+        if !figures.array.silent.is_empty() && !notes.iter().any(|note| note.starts_with(FAULTS)) {
+            notes.extend(self.notes.beginning(FAULTS));
+        }
         let (begun, ended) = self.notes.next(utc_ns() / 1_000_000, &notes);
         lines.extend(begun.into_iter().map(|note| {
             let is_problem = figures.notes.contains(&note);

@@ -15,10 +15,15 @@ use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::{NodeKind, NodeStatus, decode};
 use heliostat_service::locks::lock;
 
+use super::HAND_OVER;
 use super::status::{Problem, Subject};
 
 /// Time without a status after which a controller is silent.
 const SILENCE: Duration = Duration::from_secs(5);
+
+/// Time after the end of a token within which the last status of a controller that ends in order arrives: it hands over
+/// before.
+const LAST_STATUS_WITHIN: Duration = HAND_OVER.saturating_mul(2);
 
 /// Most controllers of which it is remembered that they left while they were silent.
 const LEFT_MAX: usize = 8;
@@ -33,8 +38,9 @@ struct Seen {
     signs: BTreeMap<u64, Instant>,
     /// Those of them that are no calibrations, by their statuses.
     controllers: BTreeSet<u64>,
-    /// Those whose token has ended without the last status of a controller that ends in order, since one reported.
-    gone: BTreeSet<u64>,
+    /// Those whose token has ended without the last status of a controller that ends in order, since one reported, with
+    /// the time at which this was seen.
+    gone: BTreeMap<u64, Instant>,
 }
 
 impl PeerStatuses {
@@ -71,9 +77,10 @@ impl PeerStatuses {
     }
 
     /// Whether none of these processes is a controller, although there was one that did not end in order.
-    pub fn is_standby_missing(&self, peers: &[u64]) -> bool {
+    pub fn is_standby_missing(&self, peers: &[u64], now: Instant) -> bool {
         let seen = lock(&self.0);
-        !seen.gone.is_empty() && !peers.iter().any(|peer| seen.controllers.contains(peer))
+        let has_gone = |since: &Instant| now.saturating_duration_since(*since) >= LAST_STATUS_WITHIN;
+        seen.gone.values().any(has_gone) && !peers.iter().any(|peer| seen.controllers.contains(peer))
     }
 
     /// Those of these controllers from which no status has come for [`SILENCE`].
@@ -83,7 +90,7 @@ impl PeerStatuses {
         let (present, gone): (BTreeSet<u64>, BTreeSet<u64>) =
             take(&mut seen.controllers).into_iter().partition(|source| peers.contains(source));
         seen.controllers = present;
-        seen.gone.extend(gone);
+        seen.gone.extend(gone.into_iter().map(|source| (source, now)));
         let mut is_silent = |source: &u64| {
             let sign = *seen.signs.entry(*source).or_insert(now);
             now.saturating_duration_since(sign) >= SILENCE
@@ -161,7 +168,7 @@ mod tests {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
             statuses.silent(peers, now);
-            statuses.is_standby_missing(peers)
+            statuses.is_standby_missing(peers, now + LAST_STATUS_WITHIN)
         };
         assert!(!is_missing(&[]), "there was none");
         assert!(!is_missing(&[7]));
@@ -182,7 +189,7 @@ mod tests {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
             statuses.silent(peers, now);
-            statuses.is_standby_missing(peers)
+            statuses.is_standby_missing(peers, now + LAST_STATUS_WITHIN)
         };
         let last = |source| NodeStatus { counters: vec![(NodeStatus::ENDING.to_owned(), 1)], ..status(source) };
         for source in [7, 8] {
@@ -190,6 +197,7 @@ mod tests {
             statuses.note(&status(source), now);
             if source == 7 {
                 assert!(is_missing(&[]), "nothing is known of its end");
+                assert!(!statuses.is_standby_missing(&[], now), "its last status may be on its way");
             }
             statuses.note(&last(source), now);
             assert!(!is_missing(&[]), "{source}");

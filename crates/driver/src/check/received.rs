@@ -1,6 +1,9 @@
 //! What the session of the check has received.
 
-use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, StopReport};
+use heliostat_proto::{
+    Capabilities, CodecError, LatchedStopReport, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, StopName,
+    StopReport,
+};
 
 /// All messages received.
 #[derive(Default)]
@@ -23,6 +26,13 @@ impl Received {
     /// Number of telemetry messages, decodable or not.
     pub fn telemetry_count(&self) -> usize {
         self.telemetry.len() + self.undecodable.len()
+    }
+
+    /// A stop that the array has reported, and that is not the check's own; one without sender is none of an operator.
+    pub fn other_stop(&self, is_own: impl Fn(&LatchedStopReport) -> bool) -> Option<LatchedStopReport> {
+        let latest = self.safety.iter().filter_map(SafetyReport::stop);
+        let mut all = latest.chain(self.stops.iter().flat_map(|report| report.stops.iter().cloned()));
+        all.find(|stop| stop.name() != StopName::default() && !is_own(stop))
     }
 }
 
@@ -59,6 +69,28 @@ mod tests {
     fn telemetry_that_cannot_be_decoded_is_no_silence() {
         let undecodable = vec![decode::<MirrorTelemetry>(&[]).expect_err("no message")];
         assert_eq!(Received { undecodable, ..Received::default() }.telemetry_count(), 1);
+    }
+
+    #[test]
+    fn the_stop_of_an_operator_is_found_in_each_report_that_names_it() {
+        let is_own = |stop: &LatchedStopReport| stop.operator == "check";
+        let listed = |source, operator: &str| LatchedStopReport {
+            source,
+            sequence: 1,
+            operator: operator.to_owned(),
+            ..LatchedStopReport::default()
+        };
+        let found = |received: &Received| received.other_stop(is_own).map(|stop| stop.operator);
+        let start = SafetyReport { stopped: true, ..SafetyReport::default() };
+        let mut received = Received { safety: vec![SafetyReport::default(), start], ..Received::default() };
+        received.stops.push(StopReport { stops: vec![listed(3, "check")], ..StopReport::default() });
+        assert_eq!(found(&received), None);
+        let beside = vec![listed(3, "check"), listed(7, "ann")];
+        received.stops.push(StopReport { stops: beside, ..StopReport::default() });
+        assert_eq!(found(&received).as_deref(), Some("ann"));
+        let last = SafetyReport { stop_source: 7, operator: "bob".to_owned(), ..received.safety[1].clone() };
+        received.safety.push(last);
+        assert_eq!(found(&received).as_deref(), Some("bob"));
     }
 
     #[test]

@@ -5,6 +5,9 @@ use std::fmt;
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
+/// What an operator has to know of an array that was stopped before the check.
+pub(super) const STOPPED_AGAIN: &str = "the array is stopped again, as before the check: heliostat rearm releases it";
+
 /// What an operator has to know of an array that does not stop again.
 pub(super) const NOT_STOPPED_AGAIN: &str = "the array was stopped before the check, and does not report the stop at its \
      end: expected the state stopped; end the driver before a controller starts";
@@ -122,7 +125,7 @@ impl fmt::Display for Report {
         writeln!(f, "{}", self.conclusion())?;
         match self.is_stopped {
             None => Ok(()),
-            Some(true) => writeln!(f, "the array is stopped again, as before the check: heliostat rearm releases it"),
+            Some(true) => writeln!(f, "{STOPPED_AGAIN}"),
             Some(false) => writeln!(f, "{NOT_STOPPED_AGAIN}"),
         }
     }

@@ -2,13 +2,15 @@
 
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
     ArrayState, CLOCK_LEAD_MAX_NS, Counters, Feedback, MirrorCommand, MirrorTelemetry, UserReport, ValidityClock,
 };
 
+use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
+use heliostat_service::exit::Interrupted;
 
 use super::judging::{Outcome, ROUNDING_RAD, aims, beside, conditions, evidence, not_judged, refused, shows, verdict};
 use super::received::Received;
@@ -78,15 +80,24 @@ const RULES: [Rule; 28] = [
 ];
 
 /// Judges every rule; `show` takes a line before each.
-pub fn judge(session: &mut TestSession, show: &dyn Fn(String)) -> Result<Vec<Finding>> {
+///
+/// # Errors
+/// [`Interrupted`] where `end` is requested before the last rule, a stop of another sender, a transport that fails.
+pub fn judge(session: &mut TestSession, end: &Stop, show: &dyn Fn(String)) -> Result<Vec<Finding>> {
     RULES
         .into_iter()
         .enumerate()
         .map(|(index, (rule, requirement, judge))| {
+            // A rule releases its own stops: none is left half done.
+            if end.is_requested() {
+                return Err(Interrupted).with_context(|| format!("the check ended before the rule {rule}"));
+            }
             if session.failure.is_none() {
                 show(format!("rule {} of {}: {rule}", index + 1, RULES.len()));
             }
-            let (verdict, evidence) = judge_one(session, rule, judge)?;
+            let outcome = judge_one(session, rule, judge);
+            session.expect_no_other_stop()?;
+            let (verdict, evidence) = outcome?;
             Ok(Finding { rule, requirement, verdict, evidence })
         })
         .collect()

@@ -11,8 +11,9 @@ use heliostat_bus::arriving::fetch;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry,
-    Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopRepetition, StopReport, decode, encode,
+    ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, LatchedStopReport, Message,
+    MirrorCommand, MirrorTelemetry, Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopRepetition,
+    StopReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_service::locks::{lock, unpoisoned};
@@ -31,6 +32,9 @@ const SOURCES_WITHIN: usize = 10;
 
 /// Operator of the orders of the check.
 const OPERATOR: &str = "driver check";
+
+/// The senders of the check: their sources differ from that of the session in the lowest bits.
+const SENDERS: u64 = 1 << 16;
 
 /// Validity of commands in checks that do not concern validity.
 pub const VALIDITY_MS: u32 = 3000;
@@ -274,8 +278,27 @@ impl TestSession {
         Ok(self.commands.put(payload)?)
     }
 
+    /// Ends the check where another sender has stopped the array: no re-arm of the check may release that stop.
+    pub fn expect_no_other_stop(&self) -> Result<()> {
+        let of_check = |source: u64| (source ^ self.source) < SENDERS;
+        let is_own = |stop: &LatchedStopReport| stop.operator == OPERATOR || of_check(stop.source);
+        let Some(stop) = self.inspect(|received| received.other_stop(is_own)) else { return Ok(()) };
+        bail!(
+            "{:?} has stopped the array during the check ({:?}): the check ends, and that stop stays in force; \
+             heliostat status names each stop",
+            stop.operator,
+            stop.reason
+        )
+    }
+
     /// Publishes a stop or a re-arm of kind 9 with this time; returns source and sequence of it.
+    ///
+    /// # Errors
+    /// Of a re-arm as [`expect_no_other_stop`](Self::expect_no_other_stop).
     pub fn send_stop(&self, action: StopAction, time_ns: Nanos) -> Result<(u64, u64)> {
+        if action == StopAction::Rearm {
+            self.expect_no_other_stop()?;
+        }
         let stamp = self.stop_stamp(self.source, time_ns);
         self.stops.put(&stop_message(stamp, action)?)?;
         Ok((stamp.source, stamp.sequence))
@@ -289,7 +312,11 @@ impl TestSession {
     }
 
     /// Publishes a re-arm that names a stop.
+    ///
+    /// # Errors
+    /// As [`expect_no_other_stop`](Self::expect_no_other_stop).
     pub fn send_rearm(&self, stop_source: u64, stop_sequence: u64) -> Result<()> {
+        self.expect_no_other_stop()?;
         let stamp = self.stop_stamp(self.source, utc_ns());
         let (operator, reason) = texts();
         Ok(self.rearms.put(&bytes(&Rearm { stamp, stop_source, stop_sequence, operator, reason })?)?)
@@ -363,7 +390,7 @@ impl TestSession {
     /// Does the same as another process, whose liveliness token disappears once the driver shows
     /// the effect.
     pub fn send_stop_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
-        let source = source_id::random();
+        let source = self.source ^ 3;
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
         let from = self.count();
         self.stops.put(&stop_message(self.stop_stamp(source, utc_ns()), action)?)?;

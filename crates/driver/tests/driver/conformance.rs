@@ -1,5 +1,9 @@
 //! The conformance check: the kit keeps every rule, and each driver with a flaw fails exactly the
 //! rules that it breaks.
+//!
+//! - [`stopped`]: the check of an array that is stopped.
+
+mod stopped;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +19,6 @@ use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::run::Settings;
 use heliostat_driver::session::{ArraySession, MessagePublisher};
-use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, NodeStatus, Room, Stamp, StopAction, StopReport,
@@ -104,6 +107,15 @@ fn wait_for_drivers(config: &BusConfig, count: usize) {
 
 /// Checks the driver that `drive` runs, in a separate room.
 fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
+    checked_until(room, (&Stop::default(), &drop), drive).unwrap()
+}
+
+/// The same until a request; the lines before the rules are shown.
+fn checked_until(
+    room: &str,
+    (end, show): (&Stop, &dyn Fn(String)),
+    drive: impl FnOnce(BusConfig, &Stop) + Send,
+) -> anyhow::Result<Report> {
     let endpoint = private_endpoint().unwrap();
     let config = BusConfig::new(Room::new(room).unwrap());
     let stop = Stop::default();
@@ -111,9 +123,9 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
         let config = config.connect_to(&endpoint);
-        let report = check::run(&config, 0, LIMIT, &drop);
+        let report = check::run(&config, 0, LIMIT, end, show);
         stop.request();
-        report.unwrap()
+        report
     })
 }
 
@@ -127,28 +139,6 @@ fn a_driver_with_the_kit_keeps_every_rule() {
         checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
-}
-
-#[test]
-fn a_check_ends_with_a_stop_where_it_began_with_one_and_a_later_check_releases_that_stop() {
-    let begins_stopped = |room: &str, stopped_by: Option<&str>| {
-        let folder = tempfile::tempdir().unwrap();
-        checked(room, |bus, stop| {
-            let mut kit = Kit::new(Exact::new());
-            if let Some(operator) = stopped_by {
-                let stop = LatchedStop { source: 7, sequence: 1, operator: operator.into(), ..Default::default() };
-                kit.stop(Moment::default(), stop);
-            }
-            let record = StopRecordSettings { directory: Some(folder.path().to_owned()), start_armed: true };
-            drop(run::run(kit, &Settings { record, ..Settings::new(bus) }, stop).unwrap());
-        })
-    };
-    std::thread::scope(|scope| {
-        let released = scope.spawn(|| begins_stopped("released", None));
-        let again = begins_stopped("again", Some("driver check"));
-        assert_eq!((released.join().unwrap().is_stopped, again.is_stopped), (None, Some(true)), "{again}");
-        assert_eq!(broken(&again), [""; 0], "{again}");
-    });
 }
 
 #[test]
@@ -375,27 +365,6 @@ fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
 }
 
 #[test]
-fn an_array_that_an_operator_stopped_is_not_checked() {
-    let endpoint = private_endpoint().unwrap();
-    let config = BusConfig::new(Room::new("stopped").unwrap());
-    let stop = Stop::default();
-    let mut kit = Kit::new(Exact::new());
-    kit.stop(Moment::default(), LatchedStop { source: 7, sequence: 1, operator: "ann".into(), ..Default::default() });
-    let folder = tempfile::tempdir().unwrap();
-    let record = StopRecordSettings { directory: Some(folder.path().to_owned()), start_armed: true };
-    let settings = Settings { record, ..Settings::new(config.clone().listen_at(&endpoint)) };
-    std::thread::scope(|scope| {
-        scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
-        let config = config.connect_to(&endpoint);
-        wait_for_drivers(&config, 1);
-        let refusal = check::run(&config, 0, LIMIT, &drop);
-        stop.request();
-        let refusal = format!("{:#}", refusal.unwrap_err());
-        assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
-    });
-}
-
-#[test]
 fn an_array_with_two_drivers_is_not_checked() {
     let endpoints = [private_endpoint().unwrap(), private_endpoint().unwrap()];
     let config = BusConfig::new(Room::new("two").unwrap());
@@ -409,7 +378,7 @@ fn an_array_with_two_drivers_is_not_checked() {
             scope.spawn(move || run::run(Kit::new(Exact::new()), &settings, stop).unwrap());
         }
         wait_for_drivers(&both, 2);
-        let refusal = check::run(&both, 0, LIMIT, &drop);
+        let refusal = check::run(&both, 0, LIMIT, &Stop::default(), &drop);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("2 drivers report this array"), "{refusal}");
@@ -445,7 +414,7 @@ fn a_room_with_a_controller_that_only_the_driver_reaches_is_not_checked() {
         while begun.elapsed() < LIMIT && through.alive(&controllers, LIMIT).is_ok_and(|tokens| tokens.is_empty()) {
             std::thread::sleep(Duration::from_millis(20));
         }
-        let refusal = check::run(&config, 0, LIMIT, &drop);
+        let refusal = check::run(&config, 0, LIMIT, &Stop::default(), &drop);
         stop.request();
         end.request();
         let refusal = format!("{:#}", refusal.unwrap_err());

@@ -5,6 +5,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::*;
+use crate::array_faults::faults_note;
 use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, TimeFigures, UserFigures};
 use heliostat_proto::reported_stops::{RoomStop, Standing};
 
@@ -246,6 +247,22 @@ fn a_note_is_printed_when_it_begins_and_ends_and_not_for_each_of_its_figures() {
     assert!(next(&["LED 0 brings 0.60"]).is_empty());
     assert_eq!(next(&["LED 1 brings 0.60"]), ["LED 1 brings 0.60", "over: LED 0 brings 0.60"]);
     assert_eq!(next(&[]), ["over: LED 1 brings 0.60"]);
+}
+
+#[test]
+fn faults_that_change_or_whose_array_is_silent_are_not_over() {
+    let mut lines = Lines { is_quiet: true, ..Lines::default() };
+    let mut next = |faults: &[&str], silent: &[&str]| {
+        let silent = silent.iter().map(|array| (*array).to_owned()).collect();
+        let array = ArrayFigures { silent, ..ArrayFigures::default() };
+        let notes = faults_note(faults, false).into_iter().collect();
+        lines.next(&Figures { array, notes, ..Figures::default() }, &[])
+    };
+    assert_eq!(next(&["mirror"], &[]), [faults_note(&["mirror"], false).expect("a note")]);
+    let both = faults_note(&["link", "mirror"], false).expect("a note");
+    assert_eq!(next(&["link", "mirror"], &[]), [both]);
+    assert_eq!(next(&[], &["mirrors"]), [""; 0]);
+    assert_eq!(next(&[], &[]), ["over: faults of the array"]);
 }
 
 /// A room with two stops, of which the second array has executed none.

@@ -5,7 +5,7 @@ use heliostat_needs::needs;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
 use heliostat_tests::faults::Tracker;
-use heliostat_tests::{Browser, PageServer, Process, wait_until};
+use heliostat_tests::{Browser, PageServer, Process, Turn, wait_until};
 use serde_json::{Value, json};
 
 use super::room::{RequestAtEnd, drive, scenario_file};
@@ -31,6 +31,7 @@ fn shown(browser: &Browser, what: &str) -> Value {
 #[needs("browser")]
 #[test]
 fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
+    let _turn = Turn::wait();
     let folder = tempfile::tempdir().expect("a folder");
     let (_sim, _controller, [of_sim, of_controller]) = simulated("drawn", folder.path());
     let server = page("drawn", &[&of_sim, &of_controller]);
@@ -62,6 +63,7 @@ fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
 #[needs("browser")]
 #[test]
 fn the_page_names_the_array_whose_driver_has_left() {
+    let _turn = Turn::wait();
     let folder = tempfile::tempdir().expect("a folder");
     let file = scenario_file(folder.path());
     let endpoints: Vec<String> = (0..3).map(|_| private_endpoint().expect("an endpoint")).collect();

@@ -28,7 +28,7 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
     // A re-arm without a stop has no effect, and the page does not claim one.
     browser.click("#rearm");
     wait_until("a refusal", || {
-        browser.text("#order-status").contains("re-arm: refused: no emergency stop is in force")
+        browser.text("#order-status").contains("re-arm: refused: no array that answers reports an emergency stop")
     });
     assert_eq!(banner(&browser), "");
 

@@ -37,11 +37,13 @@ fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
     // A refusal that is longer than its place.
     let long = "a policy that no controller has ".repeat(10);
     let refused = format!(r#"{{ order: "policy", name: "{long}" }}"#);
+    // The next figures change the parts of the page, so that each change is that of a copy.
     let refusal = format!(
-        "const [text, kind] = [at('order-status').textContent, at('order-status').className]; \
-                           at('order-status').textContent = 'refused: {long}'; at('order-status').className = 'bad'"
+        "const status = at('order-status'); const copy = status.cloneNode(false); \
+         copy.textContent = 'refused: {long}'; copy.className = 'bad'; \
+         status.replaceWith(copy)"
     );
-    // Beside the list and the banner of the page, which the next figures hide again. On a phone the bar has one more line.
+    // Beside the list and the banner of the page. On a phone the bar has one more line.
     let problem = "for (const [id, text] of [['problem', 'The simulator reports no positions of users. '], ['banner', 'The array has confirmed the stop. ']]) { \
            const part = at(id).cloneNode(false); \
            part.hidden = false; \
@@ -51,17 +53,15 @@ fn an_answer_a_problem_and_a_banner_move_no_button_of_an_order() {
          document.documentElement.style.setProperty('--bar', '93px')";
     let no_problem = "document.querySelectorAll('[data-copy]').forEach((part) => part.remove()); \
          document.documentElement.style.removeProperty('--bar')";
-    let pressed = "const pressed = at('power').querySelector('[aria-pressed=true]'); \
-         const [button] = at('power').querySelectorAll('[aria-pressed=false]'); \
-         pressed?.setAttribute('aria-pressed', 'false'); button.setAttribute('aria-pressed', 'true')";
+    let pressed = "const power = at('power'); const copy = power.cloneNode(true); \
+         const [button] = copy.querySelectorAll('[aria-pressed=false]'); \
+         copy.querySelector('[aria-pressed=true]')?.setAttribute('aria-pressed', 'false'); \
+         button.setAttribute('aria-pressed', 'true'); \
+         power.replaceWith(copy)";
     let changes = [
-        ("a refusal", refusal.as_str(), "Object.assign(at('order-status'), { textContent: text, className: kind })"),
+        ("a refusal", refusal.as_str(), "copy.replaceWith(status)"),
         ("a problem and a banner", problem, no_problem),
-        (
-            "another pressed button",
-            pressed,
-            "button.setAttribute('aria-pressed', 'false'); pressed?.setAttribute('aria-pressed', 'true')",
-        ),
+        ("another pressed button", pressed, "copy.replaceWith(power)"),
     ];
     for (width, height) in [(390, 844), (1280, 800), (1280, 600), (1920, 1080)] {
         browser.resize(width, height);
@@ -153,7 +153,7 @@ fn a_disabled_order_has_its_own_reason() {
            const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
            return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'real' }), \
              of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
-    let absent = "no controller is in the room";
+    let absent = "the page sees no controller";
     let foreign = "only `heliostat demo` can kill or restart the processes that it started";
     let expected: Value = json!([
         ["", "", "", "", ""],
@@ -175,13 +175,21 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
            const stop = document.getElementById('stop'); \
            stop.replaceWith(stop.cloneNode(true)); \
            const [sent, send] = [[], window.fetch]; \
-           window.fetch = async (path, { body }) => { sent.push([path, body]); return new Response(null, { status: 202 }); }; \
+           const answers = [new Response(null, { status: 202 }), \
+             new Response('no array received it', { status: 503, headers: { 'content-type': 'text/plain' } })]; \
+           window.fetch = async (path, { body }) => { sent.push([path, body]); return answers.shift(); }; \
            const orders = new Orders(); \
            document.getElementById('stop').click(); \
            await new Promise((resolve) => setTimeout(resolve)); \
+           const said = [orders.message?.text]; \
+           await orders.send({ order: 'stop' }); \
+           said.push(orders.message?.text); \
            window.fetch = send; \
-           return [sent, orders.message?.text]; })";
-    let expected = json!([[["order", r#"{"order":"stop"}"#]], "STOP: sent"]);
+           orders.answers([{ text: 'stop: done', state: 'done' }]); \
+           return [sent, said, orders.status.textContent]; })";
+    // A stop without an array is held, and not refused. The answer in the first figures replaces that of the page.
+    let stop = json!(["order", r#"{"order":"stop"}"#]);
+    let expected = json!([[stop, stop], ["STOP: sent", "STOP: no array received it"], "stop: done"]);
     assert_eq!(browser.run(sent), expected);
 }
 

@@ -149,17 +149,19 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     // Figures, a share of the oracle's rate, and a frame of different instants: a rate is of the instant of its share.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
-             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, compared_mbps: 4.5, min_rate_mbps: 1 }] }; \
+             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, share_of_oracle: 0.75, compared_mbps: 4.5, min_rate_mbps: 4.8 }] }; \
            const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
            const shown = (wall) => { \
              users(now, { wall }, frame, { of: () => null }); \
              return [...document.getElementById('users').rows].map(({ cells }) => [1, 2, 3].map((cell) => cells[cell].textContent)); }; \
            const noIrs = (wall) => sums(now, { wall }, frame).no_irs; \
-           return [shown(false), sentence(now, 0.1, { wall: false }, frame), shown(true), noIrs(false), noIrs(true)]; })";
+           const said = (wall) => sentence(now, 0.1, { wall }, frame); \
+           return [shown(false), said(false), shown(true), said(true), noIrs(false), noIrs(true)]; })";
     let expected = serde_json::json!([
         [["blocked", "0.00", "below 1.0"]],
         "Without the mirrors, 1 of 1 users is below the minimum rate: user 3.",
-        [["clear", "4.50 75 %", "1.0"]],
+        [["clear", "4.50 75 %", "below 4.8"]],
+        "Mirrors add 3.0 Mbit/s. The user is below the minimum rate.",
         0,
         2
     ]);

@@ -115,8 +115,8 @@ pub(super) fn with_reach(error: UiError, own: &str) -> anyhow::Error {
         }
         error @ UiError::StopUnconfirmed { .. } => vec![error.to_string(), SENT.to_owned()],
         UiError::NoReceiver(receiver) => vec![format!(
-            "no {receiver} received the stop: check --room and --connect. The mirrors go on moving: to stop them now, cut \
-             their power. An array that connected during the wait may have it"
+            "no {receiver} received the stop: check --room and --connect. To stop the mirrors now, cut their power. An \
+             array that connected during the wait may have it"
         )],
         error => return error.into(),
     };

@@ -71,7 +71,7 @@ impl Received {
         if self.has_processes() || messages.iter().any(is_recent) {
             return None;
         }
-        Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen() })
+        Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen(self.rooms.absent()) })
     }
 
     /// What is to be said of a room of which one controller alone is seen, which sees no driver and no position reports
@@ -151,9 +151,10 @@ pub(crate) fn without_router(router: &str, reason: Option<String>) -> Vec<String
     [lost].into_iter().chain(reason).collect()
 }
 
-/// The note of a room of which nothing was seen so far.
-pub(crate) fn room_unseen() -> String {
-    format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
+/// The note of a room of which nothing was seen so far. `absent` is that other rooms are seen, with their names.
+pub(crate) fn room_unseen(absent: Option<String>) -> String {
+    let seen = absent.map_or_else(|| "no process of this room answers: ".to_owned(), |absent| absent + "; ");
+    format!("{seen}{CHECK_REACH}, or start a driver or a simulator, and a controller")
 }
 
 /// End of the advice to start a process that was seen before.
@@ -266,7 +267,7 @@ mod tests {
         let mut received = Received::default();
         assert_eq!(received.notes(1, ago(0)), Vec::<String>::new(), "processes may answer yet");
         let empty = received.notes(1, ago(60));
-        assert_eq!(empty, [room_unseen()]);
+        assert_eq!(empty, [room_unseen(None)]);
         received.alive.insert((NodeKind::Viewer.name(), 3));
         assert!(received.unseen().is_some(), "a viewer is no process of the room");
         received.alive.insert((NodeKind::Driver.name(), 4));

@@ -344,10 +344,10 @@ mod tests {
 
     #[test]
     fn a_room_of_which_nothing_is_seen_has_one_problem_that_names_the_room() {
-        let notes = vec![room_unseen(), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
+        let notes = vec![room_unseen(None), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
         let figures = Figures { notes, ..Figures::default() };
-        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room(room_unseen());
-        assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
+        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room(room_unseen(None));
+        assert_eq!(problems, [room_unseen(None), "refused".to_owned()]);
         assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
     }
 

@@ -19,6 +19,7 @@ use crate::expiry::EXPIRY;
 use crate::in_charge::InCharge;
 use crate::latency::{Histogram, Window};
 use crate::problems::Problems;
+use crate::rooms::Rooms;
 use crate::shown_room::{AnnouncedController, Announcements};
 use crate::telemetry_ages::TelemetryAges;
 
@@ -70,6 +71,8 @@ pub(crate) struct Received {
     pub alive: BTreeSet<(&'static str, u64)>,
     /// When one of them last left it.
     pub left_at: Option<Instant>,
+    /// The rooms that have processes.
+    pub rooms: Rooms,
     pub history: VecDeque<Sample>,
     pub latency: Window,
     pub problems: Problems,
@@ -79,6 +82,18 @@ pub(crate) struct Received {
 }
 
 impl Received {
+    /// Of a room of this name, of which nothing was received.
+    pub fn of(room: &str) -> Self {
+        Self { rooms: Rooms::of(room), ..Self::default() }
+    }
+
+    /// Notes a liveliness token of any room.
+    pub fn take_token(&mut self, token: &str, presence: Presence) {
+        if let Some(process) = self.rooms.take(token, presence) {
+            self.take_presence(process, presence);
+        }
+    }
+
     /// Notes a process that is in the room or has left it.
     pub fn take_presence(&mut self, process: (&'static str, u64), presence: Presence) {
         let (node, source) = process;

@@ -1,6 +1,6 @@
 //! Tests of what a view keeps.
 
-use heliostat_proto::{ArrayState, SOURCES_MAX, Stamp, TruthUser, UserState};
+use heliostat_proto::{ArrayState, Room, SOURCES_MAX, Stamp, TruthUser, UserState};
 
 use super::*;
 
@@ -187,4 +187,21 @@ fn of_two_controllers_that_command_the_one_is_displayed_that_the_array_follows()
         shown(&received).0
     };
     assert_eq!([take(1, 900), take(2, 500), take(1, 900)], [1, 2, 2]);
+}
+
+#[test]
+fn a_room_of_which_nothing_is_seen_is_named_with_the_rooms_that_are_seen() {
+    let mut received = Received::of("lba");
+    let alone = received.unseen();
+    assert!(alone.as_deref().is_some_and(|note| note.starts_with("no process of this room answers: ")), "{alone:?}");
+    let other = Room::new("lab").expect("a valid name").alive(NodeKind::SimNode, 9);
+    received.take_token(&other, Presence::Alive);
+    let note = received.unseen().expect("the room has no process");
+    let start = "room lba has no process here: rooms that are there: lab; check --room and --connect";
+    assert!(note.starts_with(start), "{note}");
+    assert!(received.alive.is_empty(), "a process of another room is none of this one");
+    received.take_token(&other, Presence::Gone);
+    assert_eq!(received.unseen(), alone);
+    received.take_token(&other.replace("/lab/", "/lba/"), Presence::Alive);
+    assert_eq!(received.unseen(), None);
 }

@@ -70,10 +70,13 @@ impl PeerStatuses {
         }
     }
 
-    /// Whether none of these processes is a controller, although there was one that did not end in order.
-    pub fn is_standby_missing(&self, peers: &[u64]) -> bool {
+    /// Whether none of these processes is a controller that reports, although there was one that did not end in order, or
+    /// one is silent.
+    pub fn is_standby_missing(&self, peers: &[u64], silent: &[u64]) -> bool {
         let seen = lock(&self.0);
-        !seen.gone.is_empty() && !peers.iter().any(|peer| seen.controllers.contains(peer))
+        let mut controllers = peers.iter().filter(|peer| seen.controllers.contains(*peer)).peekable();
+        let was_there = !seen.gone.is_empty() || controllers.peek().is_some();
+        was_there && controllers.all(|peer| silent.contains(peer))
     }
 
     /// Those of these controllers from which no status has come for [`SILENCE`].
@@ -160,8 +163,8 @@ mod tests {
     fn a_standby_is_missing_after_its_end_until_another_controller_reports() {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
-            statuses.silent(peers, now);
-            statuses.is_standby_missing(peers)
+            let silent = statuses.silent(peers, now);
+            statuses.is_standby_missing(peers, &silent)
         };
         assert!(!is_missing(&[]), "there was none");
         assert!(!is_missing(&[7]));
@@ -181,8 +184,8 @@ mod tests {
     fn a_standby_that_ends_in_order_is_not_missing_whether_its_token_or_its_last_status_is_first() {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
-            statuses.silent(peers, now);
-            statuses.is_standby_missing(peers)
+            let silent = statuses.silent(peers, now);
+            statuses.is_standby_missing(peers, &silent)
         };
         let last = |source| NodeStatus { counters: vec![(NodeStatus::ENDING.to_owned(), 1)], ..status(source) };
         for source in [7, 8] {
@@ -210,6 +213,8 @@ mod tests {
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE), [2]);
         statuses.note(&status(2), start + SILENCE);
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2), [1]);
+        assert!(!statuses.is_standby_missing(&[1, 2], &[1]), "one of two is silent");
+        assert!(statuses.is_standby_missing(&[1], &[1]), "the one of the room is silent");
         assert!(statuses.silent(&[2], start + SILENCE * 3 / 2).is_empty(), "it has left");
         assert!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2).is_empty(), "it has joined");
     }

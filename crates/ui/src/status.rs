@@ -12,7 +12,7 @@ use crate::View;
 use crate::causes::{ALL_STAND_BY, NO_CONTROLLER_SEEN, NO_REPORTS, UNKNOWN_LEADER, causes_and_others, folded};
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS};
+use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS, simulator_silent};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 
@@ -55,9 +55,10 @@ impl RoomStatus {
         }
         let (unseen, missing) = {
             let received = view.received();
-            (received.unseen(), received.others_missing())
+            let silent = received.has_silent_simulator().then(simulator_silent);
+            (received.unseen(), received.others_missing().map(str::to_owned).or(silent))
         };
-        status.add_cause(missing);
+        status.add_cause(missing.as_deref());
         status.problems = unseen.map_or_else(|| status.found(), |unseen| status.of_unseen_room(unseen));
         status.is_healthy = status.problems.is_empty();
         status
@@ -319,6 +320,18 @@ mod tests {
         let found = status.found();
         let line = format!("{OTHERS_MISSING}; it causes: no position reports, the array does not follow");
         assert_eq!(found, [line.as_str(), "no controller leads: each stands by", "another note"]);
+    }
+
+    #[test]
+    fn a_simulator_that_hangs_is_one_problem() {
+        let controllers = vec![ControllerFigures { role: Role::Unheard, ..ControllerFigures::default() }];
+        let array = ArrayFigures { state: "no report".into(), ..ArrayFigures::default() };
+        let figures = Figures { controllers, array, ..Figures::default() };
+        let mut status = RoomStatus { figures, ..RoomStatus::default() };
+        assert_eq!(status.found().len(), 2);
+        status.add_cause(Some(&simulator_silent()));
+        let line = format!("{}; it causes: no position reports, the array does not follow", simulator_silent());
+        assert_eq!(status.found(), [line]);
     }
 
     #[test]

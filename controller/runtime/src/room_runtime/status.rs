@@ -154,6 +154,7 @@ pub struct Snapshot {
     now: Nanos,
     state: String,
     swaps: SwapCounters,
+    room_source: Option<u64>,
 }
 
 impl Reporter {
@@ -218,7 +219,8 @@ impl Reporter {
         self.has_refused_positions = std::mem::replace(&mut self.refused_positions, positions) < positions;
         let state = self.state(&summary);
         (self.decisions, self.commands) = (summary.decisions, summary.commands);
-        Snapshot { summary, problem, occurrences, now: decision_loop.room_time_ns(), state, swaps }
+        let (now, room_source) = (decision_loop.room_time_ns(), controller.inbox().source());
+        Snapshot { summary, problem, occurrences, now, state, swaps, room_source }
     }
 
     /// What the status names: why no commands reach the mirrors, otherwise the newest problem.
@@ -313,6 +315,7 @@ impl Reporter {
                 .chain(users)
                 .chain(host)
                 .chain(ending)
+                .chain(snapshot.room_source.map(NodeStatus::room_source_counter))
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)

@@ -248,7 +248,7 @@ impl Received {
     }
 
     /// Whether the reports of a source are displayed. Where two sources report users, the first one stays, as for a
-    /// controller, until its liveliness token ends or it is silent.
+    /// controller, until its liveliness token ends or it is silent, or the one reports on which the controller decides.
     fn is_of_owner(&self, source: u64) -> bool {
         let is_alive = |owner| self.alive.iter().any(|(_, alive)| *alive == owner);
         let owner = self.users.as_ref().filter(|(at, _)| at.elapsed() < SOURCE_TIMEOUT);
@@ -256,11 +256,17 @@ impl Received {
         owner.is_none_or(|owner| owner == source)
     }
 
+    /// The source on whose reports the displayed controller decides, by its status.
+    fn decided_source(&self) -> Option<u64> {
+        self.fresh_status(NodeKind::Controller.name()).and_then(NodeStatus::room_source)
+    }
+
     /// Keeps a user report of the owner, and the headings of its users: a user who stands still keeps the last one. The
     /// other reports of a former owner are forgotten, so that two sources never mix.
     pub(super) fn take_users(&mut self, report: UserReport) {
         let source = report.stamp.source;
-        if !self.is_of_owner(source) {
+        // A viewer that opens late may have received another source first.
+        if !self.is_of_owner(source) && self.decided_source() != Some(source) {
             return;
         }
         self.channel.take_if(|(_, channel)| channel.stamp.source != source);

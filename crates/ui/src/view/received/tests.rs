@@ -43,6 +43,25 @@ fn the_reports_of_a_second_source_replace_those_of_the_first_one_only_after_its_
 }
 
 #[test]
+fn a_viewer_that_opens_late_displays_the_source_on_which_the_controller_decides() {
+    let mut received = Received::default();
+    received.alive.extend([(NodeKind::Tracker.name(), 1), (NodeKind::Tracker.name(), 2)]);
+    let take = |received: &mut Received, source| {
+        let stamp = Stamp { source, ..Stamp::default() };
+        received.take_users(UserReport { stamp, ..UserReport::default() });
+        received.users.as_ref().map(|(_, users)| users.stamp.source)
+    };
+    assert_eq!([take(&mut received, 2), take(&mut received, 1)], [Some(2); 2], "the first one that it received");
+    let mut decided = status(9, 5, 0);
+    decided.node = NodeKind::Controller;
+    decided.counters.push(NodeStatus::room_source_counter(1));
+    received.alive.insert((NodeKind::Controller.name(), 9));
+    received.take_status(0, decided);
+    assert_eq!(take(&mut received, 2), Some(2), "until the other one reports");
+    assert_eq!([take(&mut received, 1), take(&mut received, 2)], [Some(1); 2]);
+}
+
+#[test]
 fn a_controller_that_has_just_started_has_no_decision_times_of_its_predecessor() {
     let (mut received, name) = (Received::default(), NodeKind::Controller.name());
     received.alive.insert((name, 1));

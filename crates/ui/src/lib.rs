@@ -70,7 +70,7 @@ pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
 pub use page::{NetworkFile, Page, PoliciesOf, PolicyChoice};
 pub use rights::Rights;
-pub use rooms::absent_room;
+pub use rooms::find_absent_room;
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

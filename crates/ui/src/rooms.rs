@@ -2,15 +2,26 @@
 
 use std::collections::BTreeSet;
 
-use heliostat_bus::Presence;
+use heliostat_bus::{Bus, Presence, reached_rooms};
 use heliostat_proto::NodeKind;
 use heliostat_proto::keys::{parse_alive, parse_alive_room};
 
 /// Most rooms that are named.
 const NAMED: usize = 16;
 
-/// That a room has no process, with the rooms that have some; `None` where it is one of these, and where there are none.
-pub fn absent_room(room: &str, reached: &BTreeSet<String>) -> Option<String> {
+/// That the room of these sessions has no process that one of them reaches, with the rooms that have some; `None` where it
+/// has one, and where there are none. It asks the network.
+pub fn find_absent_room<'a>(sessions: impl IntoIterator<Item = &'a Bus>) -> Option<String> {
+    let (mut own, mut reached) = (None, BTreeSet::new());
+    for bus in sessions {
+        own = Some(bus.room().name());
+        reached.extend(reached_rooms(bus));
+    }
+    absent_room(own?, &reached)
+}
+
+/// As [`find_absent_room`], of a room and the rooms that are reached.
+fn absent_room(room: &str, reached: &BTreeSet<String>) -> Option<String> {
     if reached.is_empty() || reached.contains(room) {
         return None;
     }
@@ -48,9 +59,10 @@ impl Rooms {
         (room.name() == self.own).then_some((node.name(), source))
     }
 
-    /// As [`absent_room`], of the room of the view.
+    /// As [`find_absent_room`], by what the view has seen.
     pub fn absent(&self) -> Option<String> {
-        absent_room(&self.own, &self.processes.iter().map(|(room, ..)| room.clone()).collect())
+        let reached: BTreeSet<String> = self.processes.iter().map(|(room, ..)| room.clone()).collect();
+        absent_room(&self.own, &reached)
     }
 }
 
@@ -67,7 +79,8 @@ mod tests {
         assert_eq!(absent_room("lba", &named(&["lab", "hall"])).as_deref(), Some(expected));
         assert_eq!(absent_room("lba", &named(&["lab", "lba"])), None);
         assert_eq!(absent_room("lba", &named(&[])), None, "nothing is reached");
-        let many = absent_room("lba", &(10..30).map(|number| format!("r{number}")).collect()).expect("no process");
+        let many: BTreeSet<String> = (10..30).map(|number| format!("r{number}")).collect();
+        let many = absent_room("lba", &many).expect("no process");
         assert!(many.ends_with(", r25 and 4 more"), "{many}");
     }
 

@@ -5,9 +5,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::arriving::arriving;
-use heliostat_bus::{
-    ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through, reached_rooms,
-};
+use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through};
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
@@ -20,7 +18,7 @@ use heliostat_room::World;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
-use heliostat_ui::absent_room;
+use heliostat_ui::find_absent_room;
 
 use super::args::Args;
 use super::check::{Check, Verdict};
@@ -160,7 +158,7 @@ fn check_unanswered(endpoint: &str) -> Check {
 
 /// That the room has no process, where other rooms have some.
 fn check_room(bus: &Bus) -> Option<Check> {
-    let found = absent_room(bus.room().name(), &reached_rooms(bus))?;
+    let found = find_absent_room([bus])?;
     Some(Check::warn("room", found, "give --room the name of one of them, or start the processes of this room"))
 }
 

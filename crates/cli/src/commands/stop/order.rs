@@ -8,13 +8,13 @@ use std::time::Duration;
 
 use anyhow::{Result, anyhow};
 use heliostat_bus::{
-    ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached, reached_rooms,
+    ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached,
 };
 use heliostat_proto::Room;
 use heliostat_service::locks::lock;
 use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
-use heliostat_ui::{StopSwitch, absent_room};
+use heliostat_ui::{StopSwitch, find_absent_room};
 
 use crate::commands::join::{
     Unconnected, accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected,
@@ -272,7 +272,7 @@ impl Order {
         let enter = |bus: &Bus| bus.enter(bus.room().clone());
         // Without the lock: a further session joins meanwhile.
         let sessions: Vec<Bus> = lock(&self.sessions).iter().map(enter).collect();
-        absent_room(sessions.first()?.room().name(), &sessions.iter().flat_map(reached_rooms).collect())
+        find_absent_room(&sessions)
     }
 
     /// Ends the sessions, so that what was sent leaves.

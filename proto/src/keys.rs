@@ -169,6 +169,17 @@ pub fn parse_alive(key: &str) -> Option<(NodeKind, u64)> {
     Some((node, source))
 }
 
+/// Pattern for the liveliness tokens of every room.
+pub fn alive_in_every_room() -> String {
+    format!("{PREFIX}/*/alive/*/*")
+}
+
+/// The room in the key of a liveliness token; `None` for any other key.
+pub fn parse_alive_room(key: &str) -> Option<Room> {
+    parse_alive(key)?;
+    Room::new(key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/').next()?).ok()
+}
+
 /// Index of the array and source id in the key of a liveliness token of a driver; `None` for any
 /// other key.
 pub fn parse_driver_alive(key: &str) -> Option<(usize, u64)> {

@@ -271,6 +271,9 @@ impl NodeStatus {
     /// Beginning of the name of the counter that has the hash of the network of a learned policy.
     pub const ACTOR: &'static str = "actor:";
 
+    /// Beginning of the name of the counter that names the source on whose position reports a controller decides.
+    const ROOM_SOURCE: &'static str = "room_source:";
+
     /// What a fallback is: the help of page, status and metrics.
     pub const FALLBACKS_MEANING: &'static str = "Decisions without the policy's own angles or on incomplete reports";
     /// What a withheld command is. It is no fallback.
@@ -296,6 +299,17 @@ impl NodeStatus {
     /// The name of the controller's host, if it gives one.
     pub fn host(&self) -> Option<&str> {
         self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::HOST))
+    }
+
+    /// Name and value of the counter of the source on whose position reports a controller decides.
+    pub fn room_source_counter(source: u64) -> (String, u64) {
+        (format!("{}{source:016x}", Self::ROOM_SOURCE), 1)
+    }
+
+    /// The source on whose position reports the controller decides; `None` before the first report.
+    pub fn room_source(&self) -> Option<u64> {
+        let source = self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::ROOM_SOURCE))?;
+        u64::from_str_radix(source, 16).ok()
     }
 
     /// The hash of the network of the policy in use; `None` for a policy that is not learned.

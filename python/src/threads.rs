@@ -7,7 +7,8 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use pyo3::exceptions::PyRuntimeError;
+use heliostat_environment::thread_count::{THREADS_VARIABLE, check_thread_variable};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -20,6 +21,7 @@ struct Threads {
 
 impl Threads {
     fn start() -> PyResult<Self> {
+        check_thread_variable(std::env::var(THREADS_VARIABLE).ok().as_deref()).map_err(PyValueError::new_err)?;
         let pool = ThreadPoolBuilder::new().build().map_err(|error| {
             PyRuntimeError::new_err(format!("the threads of the environments cannot start: {error}"))
         })?;

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -229,6 +231,16 @@ def test_a_first_start_a_damaged_record_and_one_that_cannot_be_written_start_sto
     record.unlink()
     (tmp_path / "lab.stop.new").mkdir()
     assert "cannot record the emergency stop" in (Driven(tmp_path, Mirrors()).station.advice or "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_pipe_in_place_of_the_record_or_of_its_new_file_makes_no_start_wait(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "lab.stop.new")
+    assert Driven(tmp_path, Mirrors()).station.advice is None, "the state is recorded"
+    (tmp_path / "lab.stop.toml").unlink()
+    os.mkfifo(tmp_path / "lab.stop.toml")
+    (tmp_path / "lab.stop.new").mkdir()
+    assert "expected a regular file" in (Driven(tmp_path, Mirrors()).station.advice or "")
 
 
 def test_another_process_is_a_problem_of_the_status(driven: Driven) -> None:

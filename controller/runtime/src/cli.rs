@@ -6,6 +6,7 @@ use heliostat_core::capabilities::Force;
 use heliostat_models::PolicyArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::{EndArgs, LogArgs, LogGuard, MetricsArgs, Stop, output};
 
 use crate::{
@@ -73,17 +74,21 @@ impl Args {
     /// If a flag or the scenario is invalid.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
         let policy = &self.policy;
-        policy.actor().check_used_by(policy.kind()).context("--model names the file of a learned policy")?;
+        policy
+            .actor()
+            .check_used_by(policy.kind())
+            .context(UnusableInput::new("--model names the file of a learned policy"))?;
         let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
         if bus.is_authenticated() && !self.also_room.is_empty() {
-            bail!(
+            bail!(UnusableInput::new(
                 "--also-room: a certificate gives rights in one room only; start one controller with --tls for each room"
-            );
+            ));
         }
         let rooms: Vec<&str> =
             std::iter::once(bus.room.name()).chain(self.also_room.iter().map(String::as_str)).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
-            bail!("--also-room {}: this room is already named; name each room once", twice.1);
+            let refused = format!("--also-room {}: this room is already named; name each room once", twice.1);
+            bail!(UnusableInput::new(refused));
         }
         Ok(NodeConfig {
             scenario: self.scenario.load_arrays()?,

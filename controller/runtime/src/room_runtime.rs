@@ -216,12 +216,13 @@ impl RoomRuntime {
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
         let peers = decision_loop.room.controller().tenure(0).peers().to_vec();
+        let silent_peers = self.peers.silent(&peers, Instant::now());
         let conditions = Conditions {
             without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
-            silent_peers: self.peers.silent(&peers, Instant::now()),
-            standby_missing: self.peers.is_standby_missing(&peers, Instant::now()),
+            standby_missing: self.peers.is_standby_missing(&peers, &silent_peers, Instant::now()),
+            silent_peers,
             peers,
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));

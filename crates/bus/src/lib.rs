@@ -56,5 +56,7 @@ pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Rea
 pub use error::{BusError, KeyError};
 pub use free_endpoint::{free_loopback_endpoint, free_loopback_port, private_endpoint};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};
-pub use through::{ACCEPTS_WITHIN, is_joined_through, join_all_through, join_each, join_through, reached};
+pub use through::{
+    ACCEPTS_WITHIN, is_joined_through, join_all_through, join_each, join_through, reached, reached_rooms,
+};
 pub use tls::{CertificateEnds, Identity};

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use heliostat_proto::keys::alive_in_every_room;
 use heliostat_proto::{MAX_PAYLOAD, Room};
 use zenoh::Wait;
 use zenoh::bytes::ZBytes;
@@ -93,6 +94,8 @@ pub struct Bus {
     watch: Option<Arc<ConnectionWatch>>,
     session: BoundedSession,
     room: Room,
+    /// Whether a certificate limits it to the tokens of its room.
+    is_limited: bool,
 }
 
 impl Bus {
@@ -116,7 +119,8 @@ impl Bus {
         let session = if config.role == Role::Client { open_client(config)? } else { open_session(config)? };
         let start = || ConnectionWatch::start(session.clone(), config);
         let watch = (!config.connect.is_empty()).then(|| Arc::new(start()));
-        Ok(Self { watch, session: BoundedSession::new(session), room: config.room.clone() })
+        let is_limited = config.is_authenticated();
+        Ok(Self { watch, session: BoundedSession::new(session), room: config.room.clone(), is_limited })
     }
 
     /// Waits until this session is connected to another process, at most `limit`; returns whether it is.
@@ -170,7 +174,13 @@ impl Bus {
     /// The same session in another room; [`close`](Self::close) closes it for all rooms.
     #[must_use]
     pub fn enter(&self, room: Room) -> Self {
-        Self { watch: self.watch.clone(), session: self.session.clone(), room }
+        Self { watch: self.watch.clone(), session: self.session.clone(), room, is_limited: self.is_limited }
+    }
+
+    /// Pattern for the liveliness tokens that this session may see: of every room, or with a certificate, which names a
+    /// room, of its own.
+    pub fn visible_alive(&self) -> String {
+        if self.is_limited { self.room.all_alive() } else { alive_in_every_room() }
     }
 
     /// Room that gives the keys.

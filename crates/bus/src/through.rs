@@ -6,6 +6,9 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
+use heliostat_proto::NodeKind;
+use heliostat_proto::keys::{parse_alive, parse_alive_room};
+
 use crate::config::{BusConfig, Reach, Role};
 use crate::session::{Bus, if_answered};
 
@@ -53,6 +56,14 @@ pub fn join_all_through(config: &BusConfig, limit: Duration) -> (Vec<Bus>, Vec<S
 /// The tokens of the processes that a session reaches. Those that it watches have come before.
 pub fn reached(bus: &Bus) -> BTreeSet<String> {
     bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).unwrap_or_default().into_iter().collect()
+}
+
+/// The names of the rooms of which a session reaches a process, viewers aside; with a certificate at most its own.
+pub fn reached_rooms(bus: &Bus) -> BTreeSet<String> {
+    let tokens = bus.alive(&bus.visible_alive(), ALIVE_WITHIN).unwrap_or_default();
+    let is_viewer = |key: &str| parse_alive(key).is_none_or(|(node, _)| node == NodeKind::Viewer);
+    let rooms = tokens.iter().filter(|key| !is_viewer(key)).filter_map(|key| parse_alive_room(key));
+    rooms.map(|room| room.name().to_owned()).collect()
 }
 
 /// Opens a client of each process in `connect`, all at the same time. Each comes with the index of its endpoint as soon

@@ -67,19 +67,26 @@ pub struct StopFile {
 }
 
 impl StopFile {
-    /// Keeps the file from other processes.
+    /// Keeps the file from other processes. The first write waits for no reader of a pipe.
     fn hold(directory: &Path, name: &str) -> Result<Self, RecordInUse> {
         let path = directory.join(name);
         let held = fs::create_dir_all(directory).map_err(anyhow::Error::from).and_then(|()| whole_file::hold(&path));
-        match held {
-            Err(error) if error.is::<InUse>() => Err(RecordInUse { path }),
+        let held = match held {
+            Err(error) if error.is::<InUse>() => return Err(RecordInUse { path }),
             // The array then starts stopped if the record cannot be written either.
             Err(error) => {
                 tracing::warn!("no lock keeps other processes from the record of the emergency stop: {error:#}");
-                Ok(Self { path, held: None })
+                None
             }
-            Ok(held) => Ok(Self { path, held: Some(held) }),
+            Ok(held) => Some(held),
+        };
+        let new = new_of(&path);
+        // The new file of another process, where there are no locks, stays.
+        if fs::symlink_metadata(&new).is_ok_and(|found| !found.is_file()) {
+            // Of a folder the first write reports the problem.
+            let _ = fs::remove_file(&new);
         }
+        Ok(Self { path, held })
     }
 
     /// What keeps the file from other processes, for an owner that ends before a write that hangs.
@@ -106,9 +113,15 @@ impl StopStore for StopFile {
     }
 
     fn empty(&mut self) -> Result<(), String> {
-        let file = OpenOptions::new().write(true).create(true).truncate(true).open(&self.path);
+        // For reading too: a pipe of this name makes the start wait for no reader.
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(&self.path);
         file.and_then(|file| file.sync_all()).map_err(|error| error.to_string())
     }
+}
+
+/// The new file beside a record, which takes its place.
+fn new_of(record: &Path) -> PathBuf {
+    record.with_extension("new")
 }
 
 /// Reads a record. Only a regular file is one: the start must not wait for a pipe, nor fill the
@@ -125,7 +138,7 @@ fn read(file: &Path) -> io::Result<String> {
 fn replace(file: &Path, text: &str) -> io::Result<()> {
     let folder = file.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder)?;
-    let new = file.with_extension("new");
+    let new = new_of(file);
     let mut written = File::create(&new)?;
     written.write_all(text.as_bytes())?;
     written.sync_all()?;

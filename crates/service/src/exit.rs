@@ -8,10 +8,10 @@
 //! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved, also in a process that it started |
 
 use std::error::Error;
-use std::fmt;
 use std::process::ExitCode;
 
 use heliostat_bus::{BusError, KeyError};
+pub use heliostat_files::UnusableInput;
 use heliostat_scenario::{ScenarioError, TraceFileError};
 
 use crate::output;
@@ -23,27 +23,8 @@ pub const USAGE: u8 = 2;
 /// A signal ended the process before its orderly end: 128 + SIGINT, as in a shell.
 pub const INTERRUPTED: u8 = 130;
 
-/// Context of an error that an input of the user caused: the exit code is then [`USAGE`]. The errors of scenarios and of
-/// the settings of a session need none.
-#[derive(Clone, Debug)]
-pub struct UnusableInput(String);
-
-impl UnusableInput {
-    /// A message that names the input and what it cannot be used for.
-    pub fn new(message: impl Into<String>) -> Self {
-        Self(message.into())
-    }
-}
-
-impl fmt::Display for UnusableInput {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl Error for UnusableInput {}
-
-/// The same error as one that an input of the user caused.
+/// The same error as one that an input of the user caused: the exit code is then [`USAGE`]. The errors of scenarios and of
+/// the settings of a session need no such mark.
 pub fn unusable(error: impl Into<anyhow::Error>) -> anyhow::Error {
     UnusableInput::new(format!("{:#}", error.into())).into()
 }
@@ -76,7 +57,8 @@ fn code(error: &anyhow::Error) -> u8 {
 
 /// Whether an error is about what the user typed or named, by its type.
 fn is_of_user(error: &(dyn Error + 'static)) -> bool {
-    error.is::<ScenarioError>()
+    error.is::<UnusableInput>()
+        || error.is::<ScenarioError>()
         || error.is::<TraceFileError>()
         || error.downcast_ref::<BusError>().is_some_and(BusError::is_of_settings)
         || error.downcast_ref::<KeyError>().is_some_and(|keys| BusError::from(keys.clone()).is_of_settings())
@@ -95,6 +77,15 @@ mod tests {
         let error = unusable.context("in a batch").unwrap_err();
         assert_eq!(code(&error), USAGE);
         assert_eq!(format!("{error:#}"), "in a batch: a.mcap cannot be replayed: no index");
+    }
+
+    #[test]
+    fn the_source_of_an_error_of_a_library_marks_it_too() {
+        #[derive(Debug, thiserror::Error)]
+        #[error("the token")]
+        struct OfLibrary(#[source] UnusableInput);
+        let error = anyhow::Error::from(OfLibrary(UnusableInput::new("no such file"))).context("in a page");
+        assert_eq!((code(&error), format!("{error:#}").as_str()), (USAGE, "in a page: the token: no such file"));
     }
 
     #[test]

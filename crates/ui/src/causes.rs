@@ -53,6 +53,10 @@ fn causes(cause: &str, text: &str) -> bool {
         let is_absent = |name: &str| absent.split(AND).any(|absent| absent == name);
         return text == UNKNOWN_LEADER || silent.is_some_and(|names| names.split(AND).all(is_absent));
     }
+    // One process: where it drives no array, another one is silent too.
+    if cause.starts_with(NO_SIMULATED_POSITIONS) {
+        return silent == Some("") || text == UNKNOWN_LEADER || begins_with(&[NO_REPORTS]);
+    }
     if cause.starts_with(FAULTS) {
         return state == Some(ArrayState::Fault.name());
     }
@@ -302,6 +306,9 @@ mod tests {
             assert_eq!(folded(vec![absent.clone(), other.clone()]), [absent, other], "a part has another cause");
         }
         let simulator = format!("{NO_SIMULATED_POSITIONS}: start it");
+        let reports = format!("{NO_REPORTS}: start the tracker");
+        let expected = format!("{simulator}; it causes: {NO_REPORTS}, {NOT_FOLLOWING}");
+        assert_eq!(folded(vec![reports, state(NO_REPORT), simulator.clone()]), [expected]);
         let lines = |driver: &str| folded(vec![driver.to_owned(), simulator.clone()]);
         let all = format!("{NO_DRIVER}: start a driver or a simulator");
         assert_eq!(lines(&all), [format!("{all}; it causes: {NO_SIMULATED_POSITIONS}")]);

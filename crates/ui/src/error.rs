@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use heliostat_bus::BusError;
 use heliostat_channel::ChannelError;
+use heliostat_files::UnusableInput;
 use heliostat_proto::CodecError;
 use heliostat_service::duration;
 use thiserror::Error;
@@ -50,9 +51,12 @@ pub enum UiError {
     /// The threads of the web server could not be started.
     #[error("the web server of the page did not start: {0}; retry, or use --no-ui")]
     Threads(io::Error),
-    /// The page has no usable token.
-    #[error("the token of the page: {0}")]
+    /// The page has no token: the operating system has no random numbers.
+    #[error("the token of the page: no random numbers: {0}")]
     Token(String),
+    /// The file with the token of the page cannot be used.
+    #[error("the token of the page")]
+    TokenFile(#[source] UnusableInput),
     /// The terminal cannot be used for the full-screen view.
     #[error("the terminal cannot show the full-screen view; use --plain to print lines")]
     Terminal(#[from] io::Error),

@@ -14,6 +14,7 @@
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
 //! - `rights`: which of these orders the certificate of the page permits.
+//! - `rooms`: which rooms have processes, where the own one has none.
 //! - `notes`: what is wrong in the room and lasts, with what to do; `causes`: what follows from it.
 //! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
@@ -48,6 +49,7 @@ pub mod orders;
 mod page;
 mod problems;
 mod rights;
+mod rooms;
 pub mod scene;
 pub mod server;
 mod shown_room;
@@ -70,6 +72,7 @@ pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
 pub use page::{NetworkFile, Page, PoliciesOf, PolicyChoice};
 pub use rights::Rights;
+pub use rooms::find_absent_room;
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

@@ -1,6 +1,7 @@
 //! What is wrong in a room and lasts, in words: each note says what to do.
 
 mod demo;
+mod present;
 
 use std::time::{Duration, Instant};
 
@@ -49,7 +50,7 @@ impl Received {
             notes.push(if controllers.iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
             } else if self.is_simulated() {
-                format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}")
+                simulator_silent()
             } else {
                 let again = if self.users.is_some() { AGAIN } else { "" };
                 format!("{NO_POSITIONS}: start the tracker or the simulator{again}")
@@ -71,7 +72,7 @@ impl Received {
         if self.has_processes() || messages.iter().any(is_recent) {
             return None;
         }
-        Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen() })
+        Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen(self.rooms.absent()) })
     }
 
     /// What is to be said of a room of which one controller alone is seen, which sees no driver and no position reports
@@ -107,29 +108,6 @@ impl Received {
         }
     }
 
-    /// Whether a process of the room is seen, other than viewers.
-    fn has_processes(&self) -> bool {
-        self.alive.iter().any(|(node, _)| *node != NodeKind::Viewer.name())
-    }
-
-    /// Whether the room has an array: a live process of one, or telemetry.
-    pub(crate) fn is_array_present(&self) -> bool {
-        let is_of_array =
-            |(node, _): &(&str, u64)| [NodeKind::SimNode, NodeKind::Driver].iter().any(|of| of.name() == *node);
-        self.alive.iter().any(is_of_array) || self.arrays.states().iter().any(|(at, _)| at.elapsed() < REPORTING)
-    }
-
-    /// Whether a controller is in the room.
-    pub(crate) fn is_controller_alive(&self) -> bool {
-        self.controller_sources().next().is_some()
-    }
-
-    /// The sources of the controllers that are in the room.
-    pub(crate) fn controller_sources(&self) -> impl Iterator<Item = u64> + '_ {
-        let is_controller = |(node, _): &&(&'static str, u64)| *node == NodeKind::Controller.name();
-        self.alive.iter().filter(is_controller).map(|(_, source)| *source)
-    }
-
     /// Whether an array accepts commands, and no controller or calibration is seen that sends them. Those that it
     /// accepted lately may be of a controller that has just left, and the first ones of a controller that has just
     /// started: its commands arrive at the array before its token arrives here.
@@ -151,9 +129,15 @@ pub(crate) fn without_router(router: &str, reason: Option<String>) -> Vec<String
     [lost].into_iter().chain(reason).collect()
 }
 
-/// The note of a room of which nothing was seen so far.
-pub(crate) fn room_unseen() -> String {
-    format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
+/// The note of a room of which nothing was seen so far. `absent` is that other rooms are seen, with their names.
+pub(crate) fn room_unseen(absent: Option<String>) -> String {
+    let seen = absent.map_or_else(|| "no process of this room answers: ".to_owned(), |absent| absent + "; ");
+    format!("{seen}{CHECK_REACH}, or start a driver or a simulator, and a controller")
+}
+
+/// The note of a simulated room whose positions do not come.
+pub(crate) fn simulator_silent() -> String {
+    format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}")
 }
 
 /// End of the advice to start a process that was seen before.
@@ -266,7 +250,7 @@ mod tests {
         let mut received = Received::default();
         assert_eq!(received.notes(1, ago(0)), Vec::<String>::new(), "processes may answer yet");
         let empty = received.notes(1, ago(60));
-        assert_eq!(empty, [room_unseen()]);
+        assert_eq!(empty, [room_unseen(None)]);
         received.alive.insert((NodeKind::Viewer.name(), 3));
         assert!(received.unseen().is_some(), "a viewer is no process of the room");
         received.alive.insert((NodeKind::Driver.name(), 4));

@@ -192,7 +192,7 @@ impl Server {
     ///
     /// # Errors
     /// [`UiError::PortRefused`] if the port is in use; [`UiError::CannotListen`] if the address does not belong to
-    /// this machine; [`UiError::Token`]; [`UiError::Threads`].
+    /// this machine; [`UiError::Token`]; [`UiError::TokenFile`]; [`UiError::Threads`].
     pub fn start(page: Page, place: &Place) -> Result<Self, UiError> {
         let address = place.address;
         let token = place.token()?.map(Arc::new);

@@ -12,7 +12,7 @@ use crate::View;
 use crate::causes::{ALL_STAND_BY, NO_CONTROLLER_SEEN, NO_REPORTS, UNKNOWN_LEADER, causes_and_others, folded};
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS};
+use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS, simulator_silent};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 
@@ -55,9 +55,10 @@ impl RoomStatus {
         }
         let (unseen, missing) = {
             let received = view.received();
-            (received.unseen(), received.others_missing())
+            let silent = received.has_silent_simulator().then(simulator_silent);
+            (received.unseen(), received.others_missing().map(str::to_owned).or(silent))
         };
-        status.add_cause(missing);
+        status.add_cause(missing.as_deref());
         status.problems = unseen.map_or_else(|| status.found(), |unseen| status.of_unseen_room(unseen));
         status.is_healthy = status.problems.is_empty();
         status
@@ -323,6 +324,18 @@ mod tests {
     }
 
     #[test]
+    fn a_simulator_that_hangs_is_one_problem() {
+        let controllers = vec![ControllerFigures { role: Role::Unheard, ..ControllerFigures::default() }];
+        let array = ArrayFigures { state: "no report".into(), ..ArrayFigures::default() };
+        let figures = Figures { controllers, array, ..Figures::default() };
+        let mut status = RoomStatus { figures, ..RoomStatus::default() };
+        assert_eq!(status.found().len(), 2);
+        status.add_cause(Some(&simulator_silent()));
+        let line = format!("{}; it causes: no position reports, the array does not follow", simulator_silent());
+        assert_eq!(status.found(), [line]);
+    }
+
+    #[test]
     fn a_tracker_that_a_controller_has_seen_may_hang() {
         let found = |decisions| {
             let controllers = vec![ControllerFigures { decisions, ..ControllerFigures::default() }];
@@ -345,10 +358,10 @@ mod tests {
 
     #[test]
     fn a_room_of_which_nothing_is_seen_has_one_problem_that_names_the_room() {
-        let notes = vec![room_unseen(), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
+        let notes = vec![room_unseen(None), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
         let figures = Figures { notes, ..Figures::default() };
-        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room(room_unseen());
-        assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
+        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room(room_unseen(None));
+        assert_eq!(problems, [room_unseen(None), "refused".to_owned()]);
         assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
     }
 

@@ -17,7 +17,7 @@ use axum::http::StatusCode;
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap, LOCATION, SET_COOKIE};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use heliostat_files::read_text;
+use heliostat_files::{UnusableInput, read_text};
 use heliostat_service::whole_file;
 use subtle::ConstantTimeEq;
 
@@ -41,7 +41,7 @@ impl Token {
     /// [`UiError::Token`] if the operating system has no random numbers.
     pub fn random() -> Result<Self, UiError> {
         let mut bytes = [0; RANDOM_BYTES];
-        getrandom::fill(&mut bytes).map_err(|error| UiError::Token(format!("no random numbers: {error}")))?;
+        getrandom::fill(&mut bytes).map_err(|error| UiError::Token(error.to_string()))?;
         let mut text = String::new();
         for byte in bytes {
             // Writing to a string cannot fail.
@@ -53,17 +53,17 @@ impl Token {
     /// The token in a file, without the white space around it. An absent file is made, with a random token.
     ///
     /// # Errors
-    /// [`UiError::Token`] if the file cannot be read or made, or its token is too short or has other
-    /// characters.
+    /// [`UiError::TokenFile`] if the file cannot be read or made, or its token is too short or has other
+    /// characters; as of [`Token::random`].
     pub fn kept_in(file: &Path) -> Result<Self, UiError> {
         let text = match read_text(file) {
             Ok(text) => text,
             Err(error) if error.kind() == ErrorKind::NotFound => return Self::make(file),
-            Err(error) => return Err(UiError::Token(format!("cannot read {}: {error}", file.display()))),
+            Err(error) => return Err(unusable(format!("cannot read {}: {error}", file.display()))),
         };
         let token = text.trim();
         if token.len() < LENGTH_MIN || !token.bytes().all(|byte| byte.is_ascii_alphanumeric()) {
-            return Err(UiError::Token(format!(
+            return Err(unusable(format!(
                 "{} holds no token: expected at least {LENGTH_MIN} ASCII letters and digits; \
                  without the file the next start makes one",
                 file.display()
@@ -76,7 +76,7 @@ impl Token {
     fn make(file: &Path) -> Result<Self, UiError> {
         let token = Self::random()?;
         let written = whole_file::write_new_secret(file, format!("{}\n", token.as_str()).as_bytes());
-        written.map_err(|error| UiError::Token(format!("{error:#}")))?;
+        written.map_err(|error| unusable(format!("{error:#}")))?;
         Ok(token)
     }
 
@@ -88,6 +88,10 @@ impl Token {
     fn is(&self, given: &str) -> bool {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
+}
+
+fn unusable(message: String) -> UiError {
+    UiError::TokenFile(UnusableInput::new(message))
 }
 
 /// What guards the page on a network.
@@ -146,6 +150,15 @@ mod tests {
         assert!(!gate.admits(&headers(COOKIE, "heliostat-7481=0123456789abcdef")));
         assert!(!gate.admits(&headers(COOKIE, "heliostat-7480=0123456789abcde")));
         assert!(!gate.admits(&headers(AUTHORIZATION, "Bearer ")));
+    }
+
+    #[test]
+    fn a_file_that_holds_no_token_is_an_input_that_cannot_be_used() {
+        use std::error::Error;
+        for file in ["Cargo.toml", "src", "no-such-folder/token"] {
+            let refused = Token::kept_in(Path::new(file)).err().expect("no token");
+            assert!(refused.source().is_some_and(|source| source.is::<UnusableInput>()), "{refused:?}");
+        }
     }
 
     #[test]

@@ -52,7 +52,7 @@ impl View {
     /// session is closed.
     pub fn open(bus: &Bus, scenario: Option<&Scenario>) -> Result<Self, UiError> {
         let chooser = RoomChooser::new(scenario)?;
-        let received: Arc<Mutex<Received>> = Arc::default();
+        let received = Arc::new(Mutex::new(Received::of(bus.room().name())));
         let subscriptions = subscribe(bus, &received)?;
         let stops = StopWatch::open(bus)?;
         let bus = bus.enter(bus.room().clone());

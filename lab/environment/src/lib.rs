@@ -15,6 +15,7 @@
 //! - [`action`], [`believed`]: what an action means, and what a learner observes.
 //! - [`function_policy`]: a function of a user, which sees the same and acts in the same forms, as a
 //!   policy of the controller.
+//! - [`thread_count`]: how many threads a computation may have.
 //! - [`task`]: one of these rooms, with a form of action and observation, as steps of a learner.
 
 pub mod action;
@@ -32,6 +33,7 @@ pub mod score;
 pub mod statistics;
 pub mod task;
 mod task_settings;
+pub mod thread_count;
 
 pub use closed_loop::ClosedLoop;
 pub use error::EnvironmentError;

@@ -4,13 +4,18 @@
 //! the same, bit for bit, for any number of threads.
 
 use anyhow::Context;
+use heliostat_environment::thread_count::{THREADS_VARIABLE, check_thread_variable};
+use heliostat_files::UnusableInput;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 
 /// Runs the work on a pool of this many threads; 0: the number in `RAYON_NUM_THREADS`, or one for each processor.
 ///
 /// # Errors
-/// The system refuses a thread.
+/// [`UnusableInput`] for a variable with too many threads; the system refuses a thread.
 pub fn on_threads<T: Send>(count: usize, work: impl FnOnce() -> T + Send) -> anyhow::Result<T> {
+    if count == 0 {
+        check_thread_variable(std::env::var(THREADS_VARIABLE).ok().as_deref()).map_err(UnusableInput::new)?;
+    }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().context("cannot start a thread")?;
     Ok(pool.install(work))
 }

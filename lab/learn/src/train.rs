@@ -10,7 +10,7 @@ use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::USERS_CAPACITY;
 use heliostat_core::policy::actor_file::{key, room_entries};
 use heliostat_environment::exact_states;
-use heliostat_files::{shell_word, write_whole};
+use heliostat_files::{UnusableInput, shell_word, write_whole};
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -85,31 +85,17 @@ type StopRequested<'a> = &'a (dyn Fn() -> bool + Sync);
 /// `stop_requested` returns true, it saves the run and returns an error with the command that resumes.
 ///
 /// # Errors
-/// The scenario or an option is invalid, a file cannot be read or written, or the run is
-/// interrupted.
+/// [`UnusableInput`] where the scenario, an option or the folder cannot be used; a file that cannot be written, or an
+/// interruption.
 pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<String> {
     on_one_thread(|| train(&args, stop_requested))?
 }
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<String> {
-    let scenario = args.scenario.load_arrays()?;
-    exact_states::check_training(&args.scenario.overrides)?;
-    for condition in conditions(&scenario)? {
-        // A full or closed standard error does not end a training.
-        drop(writeln!(std::io::stderr(), "condition: {condition}"));
-    }
-    let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
-    if args.resume {
-        checkpoint::load(&mut training, &checkpoint)?;
-    } else {
-        anyhow::ensure!(
-            !checkpoint.exists(),
-            "{} already holds a training run: resume it with --resume, or give another folder with --out",
-            args.out.display()
-        );
-    }
+    // Scenario, options and folder: all of it is what the user typed.
+    let begun = begin(args, &checkpoint);
+    let mut training = begun.map_err(|error| UnusableInput::new(format!("{error:#}")))?;
     let resumed = training.episodes_done() > 0;
     let start = Instant::now();
     learn(&mut training, args, &checkpoint, stop_requested)?;
@@ -121,6 +107,28 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
         Some(scores) => finish(&training, args, duration, &scores),
         None => bail!(interrupted(&mut training, args, &checkpoint)?),
     }
+}
+
+/// The run before its next episode, in its folder.
+fn begin(args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<Training> {
+    let scenario = args.scenario.load_arrays()?;
+    exact_states::check_training(&args.scenario.overrides)?;
+    for condition in conditions(&scenario)? {
+        // A full or closed standard error does not end a training.
+        drop(writeln!(std::io::stderr(), "condition: {condition}"));
+    }
+    let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    if args.resume {
+        checkpoint::load(&mut training, checkpoint)?;
+    } else {
+        anyhow::ensure!(
+            !checkpoint.exists(),
+            "{} already holds a training run: resume it with --resume, or give another folder with --out",
+            args.out.display()
+        );
+    }
+    Ok(training)
 }
 
 /// What a scenario describes and training leaves out, and places out of the range of the controller.

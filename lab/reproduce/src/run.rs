@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use heliostat_learn::networks::on_one_thread;
+use heliostat_service::exit::{self, UnusableInput};
 use heliostat_service::{outln, whole_file};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -58,15 +59,16 @@ pub fn run_reproduce(args: ReproduceArgs, progress: &Progress) -> Result<()> {
 pub fn reproduce(args: &ReproduceArgs, progress: &Progress) -> Result<Report> {
     let effort = args.effort();
     let plan = args.plan(effort);
-    let rooms = args.rooms()?;
-    let (chosen, mut left_out) = args.choose(&rooms)?;
+    let rooms = args.rooms().map_err(exit::unusable)?;
+    let (chosen, mut left_out) = args.choose(&rooms).map_err(exit::unusable)?;
     let mut figures: Vec<(Kind, &Room, Vec<Part>)> = Vec::new();
     for (kind, room) in chosen {
-        figures.push((kind, room, kind.parts(room, &plan)?));
+        figures.push((kind, room, kind.parts(room, &plan).map_err(exit::unusable)?));
     }
     let store = Store::open(&args.out)?;
     if let Some(folder) = &args.write_docs {
-        ensure!(folder.is_dir(), "--write-docs {}: expected an existing folder", folder.display());
+        let expected = || format!("--write-docs {}: expected an existing folder", folder.display());
+        ensure!(folder.is_dir(), UnusableInput::new(expected()));
     }
     let mut done: Vec<(Kind, &Room, Vec<Done>)> = Vec::new();
     if args.finished {

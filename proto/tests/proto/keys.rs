@@ -26,7 +26,10 @@ fn liveliness_keys_survive_a_round_trip() {
     let others = [room.users(), room.all_alive(), format!("{key}/more"), key.replace("/v1/", "/v2/")];
     for other in others.into_iter().chain(not_drivers) {
         assert_eq!(keys::parse_alive(&other), None, "{other}");
+        assert_eq!(keys::parse_alive_room(&other), None, "{other}");
     }
+    assert_eq!(keys::parse_alive_room(&key), Some(room));
+    assert_eq!(keys::alive_in_every_room(), "heliostat/v1/*/alive/*/*");
 }
 
 #[test]

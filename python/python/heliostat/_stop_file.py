@@ -49,13 +49,18 @@ class StopFile:
             self._lock = None
 
     def open(self, name: str) -> str:
-        """Uses the file of this name from now on; returns its path for messages.
+        """Uses the file of this name from now on; returns its path for messages. The first write waits for no pipe.
 
         Raises `PeerError` where another process has the lock.
         """
         self._path = self.folder / name
         if self._is_locked:
             self._lock = self._take_lock()
+        new = self._new_path()
+        # The new file of another process, where there are no locks, stays. Of a folder the first write has the problem.
+        if new.is_symlink() or (new.exists() and not new.is_file()):
+            with suppress(OSError):
+                new.unlink()
         return str(self._path)
 
     def read(self) -> str | None:
@@ -71,7 +76,7 @@ class StopFile:
     def replace(self, text: str) -> None:
         """Replaces the record at once, and returns when it is on the disk."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        new = self._path.with_suffix(".new")
+        new = self._new_path()
         with new.open("w", encoding="utf-8", newline="\n") as file:
             file.write(text)
             file.flush()
@@ -86,8 +91,16 @@ class StopFile:
 
     def empty(self) -> None:
         """Empties the record, which means that the state is unknown."""
-        with self._path.open("w") as file:
-            os.fsync(file.fileno())
+        # For reading too: a pipe of this name makes the start wait for no reader.
+        file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        try:
+            os.fsync(file)
+        finally:
+            os.close(file)
+
+    def _new_path(self) -> Path:
+        """The new file beside the record, which takes its place."""
+        return self._path.with_suffix(".new")
 
     def _take_lock(self) -> int | None:
         """An open file with a lock; `None` where the folder takes no lock."""

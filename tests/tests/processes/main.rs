@@ -23,6 +23,7 @@ mod other_scenarios;
 mod policies;
 mod recording;
 mod restarts;
+mod rooms;
 mod running_recordings;
 mod safety;
 mod security;

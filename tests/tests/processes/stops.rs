@@ -287,8 +287,11 @@ fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
     for operator in ["ann", "bob"] {
         let stopped = room.order("stop", &["--operator", operator, "--reason", "ladder"]);
         assert!(stopped.status.success(), "{}", stopped.errors);
-        let names_it = stopped.output.contains("the stop: ") && stopped.output.contains(&format!("of \"{operator}\""));
-        assert!(names_it, "{}", stopped.output);
+        // Its own one, also beside that of the other operator.
+        let own = stopped.output.lines().find(|line| line.starts_with("the stop: ")).unwrap_or_default();
+        assert!(own.ends_with(&format!("of \"{operator}\": \"ladder\"")), "{}", stopped.output);
+        let others = stopped.output.lines().filter(|line| line.starts_with("another stop: ")).count();
+        assert_eq!(others, usize::from(operator == "bob"), "{}", stopped.output);
     }
     wait_until("both stops", || room.operators(0) == ["ann", "bob"] && room.operators(1) == ["ann", "bob"]);
     let several = room.order("rearm", &[]);

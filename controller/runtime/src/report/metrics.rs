@@ -69,6 +69,11 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     }
     for (name, help, is_set) in [
         ("heliostat_standby", "1 while the array follows another controller", summary.standby),
+        (
+            "heliostat_standby_missing",
+            "1 while no other controller reports, although there was one that did not end in order",
+            summary.standby_missing,
+        ),
         ("heliostat_array_unfit", "1 while the array does not fit the scenario", summary.unfit.is_some()),
         ("heliostat_driver_absent", "1 while no driver receives the commands to an array", summary.driver_absent),
         (
@@ -204,7 +209,8 @@ mod tests {
     #[test]
     fn each_event_of_the_tenure_is_counted_from_0_and_held_stops_are_shown() {
         let epoch_events = BTreeMap::from([("took-over".to_owned(), 2)]);
-        let text = page_of(&Summary { epoch_events, stops_held: 1, trackers: 2, ..Summary::default() });
+        let text =
+            page_of(&Summary { epoch_events, stops_held: 1, trackers: 2, standby_missing: true, ..Summary::default() });
         for event in TenureEvent::ALL {
             let (name, count) = (event.name(), if event == TenureEvent::TookOver { 2 } else { 0 });
             let line = format!("heliostat_epoch_events_total{{room=\"demo\",event=\"{name}\"}} {count}\n");
@@ -213,5 +219,6 @@ mod tests {
         assert!(text.contains("heliostat_stops_held{room=\"demo\"} 1"), "{text}");
         assert!(text.contains("heliostat_build_info{room=\"demo\",process=\"controller\""), "alerts name the room");
         assert!(text.contains("heliostat_trackers{room=\"demo\"} 2"), "{text}");
+        assert!(text.contains("heliostat_standby_missing{room=\"demo\"} 1"), "{text}");
     }
 }

@@ -68,6 +68,9 @@ pub struct Summary {
     pub standby: bool,
     /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
+    /// No other controller reports, although there was one that did not end in order.
+    #[serde(default)]
+    pub standby_missing: bool,
     /// Trackers and simulators in the room, by their liveliness tokens.
     #[serde(default)]
     pub trackers: u64,
@@ -332,6 +335,7 @@ impl Summary {
         };
         self.standby |= other.standby;
         self.peers += other.peers;
+        self.standby_missing |= other.standby_missing;
         self.trackers += other.trackers;
         self.stops_held += other.stops_held;
         self.driver_absent |= other.driver_absent;

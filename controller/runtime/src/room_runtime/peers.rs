@@ -76,11 +76,14 @@ impl PeerStatuses {
         }
     }
 
-    /// Whether none of these processes is a controller, although there was one that did not end in order.
-    pub fn is_standby_missing(&self, peers: &[u64], now: Instant) -> bool {
+    /// Whether none of these processes is a controller that reports, although there was one that did not end in order, or
+    /// one is silent.
+    pub fn is_standby_missing(&self, peers: &[u64], silent: &[u64], now: Instant) -> bool {
         let seen = lock(&self.0);
         let has_gone = |since: &Instant| now.saturating_duration_since(*since) >= LAST_STATUS_WITHIN;
-        seen.gone.values().any(has_gone) && !peers.iter().any(|peer| seen.controllers.contains(peer))
+        let mut controllers = peers.iter().filter(|peer| seen.controllers.contains(*peer)).peekable();
+        let was_there = seen.gone.values().any(has_gone) || controllers.peek().is_some();
+        was_there && controllers.all(|peer| silent.contains(peer))
     }
 
     /// Those of these controllers from which no status has come for [`SILENCE`].
@@ -167,8 +170,8 @@ mod tests {
     fn a_standby_is_missing_after_its_end_until_another_controller_reports() {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
-            statuses.silent(peers, now);
-            statuses.is_standby_missing(peers, now + LAST_STATUS_WITHIN)
+            let silent = statuses.silent(peers, now);
+            statuses.is_standby_missing(peers, &silent, now + LAST_STATUS_WITHIN)
         };
         assert!(!is_missing(&[]), "there was none");
         assert!(!is_missing(&[7]));
@@ -188,8 +191,8 @@ mod tests {
     fn a_standby_that_ends_in_order_is_not_missing_whether_its_token_or_its_last_status_is_first() {
         let (statuses, now) = (PeerStatuses::default(), Instant::now());
         let is_missing = |peers: &[u64]| {
-            statuses.silent(peers, now);
-            statuses.is_standby_missing(peers, now + LAST_STATUS_WITHIN)
+            let silent = statuses.silent(peers, now);
+            statuses.is_standby_missing(peers, &silent, now + LAST_STATUS_WITHIN)
         };
         let last = |source| NodeStatus { counters: vec![(NodeStatus::ENDING.to_owned(), 1)], ..status(source) };
         for source in [7, 8] {
@@ -197,7 +200,7 @@ mod tests {
             statuses.note(&status(source), now);
             if source == 7 {
                 assert!(is_missing(&[]), "nothing is known of its end");
-                assert!(!statuses.is_standby_missing(&[], now), "its last status may be on its way");
+                assert!(!statuses.is_standby_missing(&[], &[], now), "its last status may be on its way");
             }
             statuses.note(&last(source), now);
             assert!(!is_missing(&[]), "{source}");
@@ -218,6 +221,8 @@ mod tests {
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE), [2]);
         statuses.note(&status(2), start + SILENCE);
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2), [1]);
+        assert!(!statuses.is_standby_missing(&[1, 2], &[1], now), "one of two is silent");
+        assert!(statuses.is_standby_missing(&[1], &[1], now), "the one of the room is silent");
         assert!(statuses.silent(&[2], start + SILENCE * 3 / 2).is_empty(), "it has left");
         assert!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2).is_empty(), "it has joined");
     }

@@ -90,7 +90,7 @@ pub struct Conditions {
     pub peers: Vec<u64>,
     /// Those of them whose statuses do not come.
     pub silent_peers: Vec<u64>,
-    /// Whether no other controller is there, although there was one.
+    /// Whether no other controller reports, although there was one that did not end in order.
     pub standby_missing: bool,
 }
 
@@ -105,6 +105,7 @@ pub struct Snapshot {
     now: Nanos,
     state: String,
     swaps: SwapCounters,
+    room_source: Option<u64>,
 }
 
 impl Reporter {
@@ -145,6 +146,7 @@ impl Reporter {
         let undecodable = room.undecodable();
         summary.refused.extend(undecodable.named());
         summary.peers = summary.peers.saturating_sub(conditions.silent_peers.len() as u64);
+        summary.standby_missing = conditions.standby_missing;
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
@@ -168,7 +170,8 @@ impl Reporter {
         self.has_refused_positions = std::mem::replace(&mut self.refused_positions, positions) < positions;
         let state = self.state(&summary);
         (self.decisions, self.commands) = (summary.decisions, summary.commands);
-        Snapshot { summary, problem, occurrences, now: decision_loop.room_time_ns(), state, swaps }
+        let (now, room_source) = (decision_loop.room_time_ns(), controller.inbox().source());
+        Snapshot { summary, problem, occurrences, now, state, swaps, room_source }
     }
 
     /// What the status names: why no commands reach the mirrors, otherwise the newest problem.
@@ -211,7 +214,7 @@ impl Reporter {
             (NodeStatus::EPOCH, summary.epoch),
             (NodeStatus::STANDBY, u64::from(summary.standby)),
             ("peers", summary.peers),
-            (NodeStatus::STANDBY_MISSING, u64::from(self.conditions.standby_missing)),
+            (NodeStatus::STANDBY_MISSING, u64::from(summary.standby_missing)),
             (NodeStatus::ARRAY_UNFIT, u64::from(summary.unfit.is_some())),
             (NodeStatus::DRIVER_ABSENT, self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
@@ -255,6 +258,7 @@ impl Reporter {
                 .chain(users)
                 .chain(host)
                 .chain(ending)
+                .chain(snapshot.room_source.map(NodeStatus::room_source_counter))
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)
@@ -340,7 +344,6 @@ impl Reporter {
     /// A condition that began or ended; a second one is reported at the next snapshot.
     fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<(Subject, Problem)> {
         self.conditions.connection = now.connection;
-        self.conditions.standby_missing = now.standby_missing;
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
         if before != self.conditions.without_driver {
             let problem = if self.conditions.without_driver.is_empty() {

@@ -163,6 +163,19 @@ fn tokens_appear_and_disappear() {
 }
 
 #[test]
+fn the_rooms_that_a_session_reaches_are_those_with_a_process_other_than_a_viewer() {
+    let (first, second) = pair();
+    let named = |name: &str, node| Room::new(name).expect("a valid name").alive(node, 7);
+    let _viewer = first.announce(&named("seen", NodeKind::Viewer)).expect("a valid key");
+    let _driver = first.announce(&named("lab", NodeKind::Driver)).expect("a valid key");
+    let controller = first.announce(&named("hall", NodeKind::Controller)).expect("a valid key");
+    // The viewer's token was declared before the others.
+    wait_until("both rooms", || reached_rooms(&second).into_iter().eq(["hall", "lab"]));
+    drop(controller);
+    wait_until("the room that is left", || reached_rooms(&second).into_iter().eq(["lab"]));
+}
+
+#[test]
 fn tokens_disappear_with_their_session() {
     let (first, second) = pair();
     let key = first.room().alive(NodeKind::Controller, 8);

@@ -17,8 +17,8 @@ use serde_json::json;
 use super::join::Unconnected;
 use order::{Order, Purpose, operator_name};
 use words::{
-    HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_in_words,
-    release_in_words, with_reach, with_releases, with_state, with_stops,
+    HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_first, own_in_words,
+    release_in_words, with_reach, with_releases, with_rooms, with_state, with_stops,
 };
 
 /// Time between two looks at a held stop.
@@ -43,7 +43,7 @@ const SETTLED: Duration = Duration::from_secs(1);
 /// every array has confirmed the stop by then. A stop that is interrupted during its first wait names what is
 /// confirmed.
 ///
-/// The result names every stop in force; `heliostat rearm --stop` takes such a name.
+/// The result names every stop in force, that of this command first; `heliostat rearm --stop` takes such a name.
 ///
 /// The stop stays in force, also over a restart of the driver, until an operator releases it with
 /// `heliostat rearm`. Connect to the process that drives the mirrors, to one that is connected to it, or to
@@ -127,7 +127,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let joined = begun.elapsed();
     order.note_sent();
     let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took);
-    let stopped = stopped.map_err(|error| with_reach(error, &own_in_words(switch, &release)));
+    let stopped =
+        stopped.map_err(|error| with_rooms(with_reach(error, &own_in_words(switch, &release)), order.absent_room()));
     note_unverified(switch);
     let Some(end) = end else {
         let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release)?;
@@ -224,7 +225,8 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
             error => error,
         };
-        with_state(error.into(), switch.held_by_controller().as_deref(), &switch.lost_devices())
+        let error = with_state(error.into(), switch.held_by_controller().as_deref(), &switch.lost_devices());
+        with_rooms(error, order.absent_room())
     })?;
     lost.iter().for_each(output::note);
     switch.lost_devices().into_iter().for_each(output::note);
@@ -276,17 +278,18 @@ impl OrderArgs {
         release: &Release,
     ) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
+        let own = switch.own_name();
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         let (written, unrecorded) = if self.json {
             let unrecorded = find_unrecorded();
-            let mut result = to_json(room, "stopped", took, [stops; 2]);
+            let mut result = to_json(room, "stopped", took, [&own_first(stops, own).0, stops]);
             result["unrecorded"] = json!(unrecorded);
             (output::outcome(result), unrecorded)
         } else {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            (output::outcome(with_releases(text, stops, release)), find_unrecorded())
+            (output::outcome(with_releases(text, stops, own, release)), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {

@@ -133,6 +133,31 @@ fn an_array_whose_state_cannot_be_recorded_starts_stopped() {
     assert!(next_start(file.path()).is_some(), "a file is no folder");
 }
 
+/// A pipe in place of the record or of its new file has no reader: a start that waits for one fails.
+#[cfg(unix)]
+#[test]
+fn a_pipe_at_the_place_of_the_record_or_of_its_new_file_makes_no_start_wait() {
+    let start_with = |pipes: &[&str], folders: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        for name in pipes {
+            let made = std::process::Command::new("mkfifo").arg(folder.path().join(name)).status().unwrap();
+            assert!(made.success(), "mkfifo {name}");
+        }
+        folders.iter().for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
+        let (sender, result) = std::sync::mpsc::channel();
+        let at = folder.path().to_owned();
+        std::thread::spawn(move || drop(sender.send(next_start(&at))));
+        let start = result.recv_timeout(std::time::Duration::from_secs(60)).expect("no wait for a reader");
+        (start, next_start(folder.path()))
+    };
+    assert_eq!(start_with(&["lab.stop.new"], &[]), (None, None), "the state is recorded");
+    let (start, next) = start_with(&["lab.stop.toml"], &[]);
+    let reason = start.as_ref().map(|stop| stop.reason.as_str()).unwrap_or_default();
+    assert!(reason.contains("expected a regular file"), "{reason}");
+    assert_eq!(next, start, "the stop is recorded");
+    assert!(start_with(&["lab.stop.toml"], &["lab.stop.new"]).0.is_some(), "the record cannot be written");
+}
+
 #[test]
 fn a_recorded_stop_of_a_clock_that_was_set_back_can_be_released_at_once() {
     let folder = tempfile::tempdir().unwrap();

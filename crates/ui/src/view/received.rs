@@ -18,6 +18,7 @@ use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::expiry::EXPIRY;
 use crate::latency::{Histogram, Window};
 use crate::problems::Problems;
+use crate::rooms::Rooms;
 use crate::shown_room::{AnnouncedController, Announcements};
 use crate::sums::PastSum;
 use crate::telemetry_ages::TelemetryAges;
@@ -62,6 +63,8 @@ pub(crate) struct Received {
     pub alive: BTreeSet<(&'static str, u64)>,
     /// When one of them last left it.
     pub left_at: Option<Instant>,
+    /// The rooms that have processes.
+    pub rooms: Rooms,
     /// Sum rates for the chart, with the arrival of the report of the room that they are of.
     pub history: VecDeque<(Instant, PastSum)>,
     pub latency: Window,
@@ -72,6 +75,18 @@ pub(crate) struct Received {
 }
 
 impl Received {
+    /// Of a room of this name, of which nothing was received.
+    pub fn of(room: &str) -> Self {
+        Self { rooms: Rooms::of(room), ..Self::default() }
+    }
+
+    /// Notes a liveliness token of any room.
+    pub fn take_token(&mut self, token: &str, presence: Presence) {
+        if let Some(process) = self.rooms.take(token, presence) {
+            self.take_presence(process, presence);
+        }
+    }
+
     /// Notes a process that is in the room or has left it.
     pub fn take_presence(&mut self, process: (&'static str, u64), presence: Presence) {
         let (node, source) = process;
@@ -246,7 +261,7 @@ impl Received {
     }
 
     /// Whether the reports of a source are displayed. Where two sources report users, the first one stays, as for a
-    /// controller, until its liveliness token ends or it is silent.
+    /// controller, until its liveliness token ends or it is silent, or the one reports on which the controller decides.
     fn is_of_owner(&self, source: u64) -> bool {
         let is_alive = |owner| self.alive.iter().any(|(_, alive)| *alive == owner);
         let owner = self.users.as_ref().filter(|(at, _)| at.elapsed() < SOURCE_TIMEOUT);
@@ -254,11 +269,17 @@ impl Received {
         owner.is_none_or(|owner| owner == source)
     }
 
+    /// The source on whose reports the displayed controller decides, by its status.
+    fn decided_source(&self) -> Option<u64> {
+        self.fresh_status(NodeKind::Controller.name()).and_then(NodeStatus::room_source)
+    }
+
     /// Keeps a user report of the owner, and the headings of its users: a user who stands still keeps the last one. The
     /// other reports of a former owner are forgotten, so that two sources never mix.
     pub(super) fn take_users(&mut self, report: UserReport) {
         let source = report.stamp.source;
-        if !self.is_of_owner(source) {
+        // A viewer that opens late may have received another source first.
+        if !self.is_of_owner(source) && self.decided_source() != Some(source) {
             return;
         }
         self.channel.take_if(|(_, channel)| channel.stamp.source != source);

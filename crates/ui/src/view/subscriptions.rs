@@ -3,7 +3,6 @@
 use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{ArrayKeys, Capabilities, Message, NodeKind, NodeStatus, Room, RoomGeometry, codec};
 use heliostat_service::locks::lock;
 
@@ -14,10 +13,7 @@ use crate::UiError;
 pub(super) fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
     let room: &Room = bus.room();
     let on_alive = Arc::clone(received);
-    let alive = bus.watch(&room.all_alive(), move |key, presence| {
-        let Some((node, source)) = parse_alive(key) else { return };
-        lock(&on_alive).take_presence((node.name(), source), presence);
-    })?;
+    let alive = bus.watch(&bus.visible_alive(), move |key, presence| lock(&on_alive).take_token(key, presence))?;
     Ok(vec![
         store(bus, &room.truth(), received, Received::take_truth)?,
         store(bus, &room.users(), received, Received::take_users)?,

@@ -21,6 +21,7 @@ use clap::ValueEnum;
 use heliostat_core::policy::PolicyKind;
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
+use heliostat_environment::thread_count::THREADS_MAX;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Report, Settings};
 use heliostat_learn::threads::on_threads;
 use heliostat_models::ActorSource;
@@ -133,7 +134,7 @@ pub struct Args {
     sweep: Vec<Sweep>,
     /// Threads that evaluate at the same time; the figures are the same for any number, decision times excepted: those
     /// of 1 are undisturbed [default: RAYON_NUM_THREADS, or one for each processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=i64::from(THREADS_MAX)))]
     threads: Option<u16>,
     /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]

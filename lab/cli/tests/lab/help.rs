@@ -82,3 +82,13 @@ fn completions_are_those_of_this_program() {
         script.lines().find(|line| line.trim_start().starts_with("complete -F")).expect("a line for the shell");
     assert!(command.ends_with(" heliostat-lab"), "{command}");
 }
+
+#[test]
+fn more_threads_than_can_start_are_refused_by_the_name_of_their_variable() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
+    command.args(["eval", "--policies", "flat", "--states", "1", "--seeds", "1"]).env("RAYON_NUM_THREADS", "100000");
+    let refused = command.output().expect("the program starts");
+    let message = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(2), "{message}");
+    assert!(message.contains("RAYON_NUM_THREADS=100000: expected at most 1024 threads"), "{message}");
+}

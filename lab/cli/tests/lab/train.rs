@@ -141,5 +141,16 @@ fn a_key_that_training_does_not_read_is_refused() {
     let folder = TempDir::new().expect("a folder");
     let refused = train(folder.path()).args(["--set", "actuator.stuck_share=1"]).output().expect("the program starts");
     let message = errors(&refused);
-    assert!(!refused.status.success() && message.contains("actuator.stuck_share: no effect"), "{message}");
+    assert_eq!(refused.status.code(), Some(2), "{message}");
+    assert!(message.contains("actuator.stuck_share: no effect"), "{message}");
+}
+
+#[test]
+fn an_option_that_is_unknown_or_has_no_value_is_wrong_usage() {
+    let folder = TempDir::new().expect("a folder");
+    for (option, words) in [("x=1", "--option x=1: no such key"), ("batch", "--option batch: expected KEY=VALUE")] {
+        let refused = train(folder.path()).args(["--option", option]).output().expect("the program starts");
+        assert_eq!(refused.status.code(), Some(2), "{}", errors(&refused));
+        assert!(errors(&refused).contains(words), "{}", errors(&refused));
+    }
 }

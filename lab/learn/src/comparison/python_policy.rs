@@ -14,6 +14,7 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_core::policy::Policy;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::function_policy::FunctionPolicy;
+use heliostat_files::UnusableInput;
 use heliostat_scenario::Scenario;
 
 /// The program of the process.
@@ -72,7 +73,9 @@ impl PythonFunction {
     /// It is not.
     pub fn check_file(&self) -> Result<()> {
         let found = std::path::Path::new(&self.file).is_file();
-        ensure!(found, "no file {}: expected the file that defines the function {}", self.file, self.function);
+        let expected =
+            || format!("no file {}: expected the file that defines the function {}", self.file, self.function);
+        ensure!(found, UnusableInput::new(expected()));
         Ok(())
     }
 
@@ -130,9 +133,12 @@ impl Process {
             Answer::Form(form) if form == "angles" => ActionForm::Angles,
             Answer::Form(form) if form == "weights" => ActionForm::Weights,
             Answer::Form(form) => {
-                bail!("{file}: {function}.action = {form:?}: expected \"angles\" or \"weights\"")
+                let found = format!("{file}: {function}.action = {form:?}: expected \"angles\" or \"weights\"");
+                bail!(UnusableInput::new(found))
             }
-            Answer::Problem(problem) => bail!("{file}:{function} cannot be used: {problem}"),
+            Answer::Problem(problem) => {
+                bail!(UnusableInput::new(format!("{file}:{function} cannot be used: {problem}")))
+            }
             Answer::Action(_) => bail!("{file}:{function}: the process answered out of turn"),
         };
         Ok(process)

@@ -83,7 +83,7 @@ fn one_unfit_array_of_two_is_named_beside_a_controller_that_runs() {
         let summary = Summary { unfit: Some("other mirrors".into()), arrays, decisions: 1, ..Summary::default() };
         let state = reporter.state(&summary);
         let swaps = SwapCounters::default();
-        let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state, swaps };
+        let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state, swaps, room_source: None };
         let status = reporter.report(&snapshot, &StageTimes::default());
         let named = status.counters.into_iter().filter(|(name, _)| name.starts_with(NodeStatus::ARRAY_UNFIT_OF));
         (status.state, named.map(|(name, _)| name).collect::<Vec<_>>())
@@ -120,7 +120,9 @@ fn the_drivers_that_have_left_are_in_each_status_also_while_the_policy_does_not_
     reporter.lost_drivers.set(vec![(lost, false)]);
     let (summary, swaps) = (Summary::default(), SwapCounters::default());
     let stalled = reporter.report_stall(&summary);
-    let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state: String::new(), swaps };
+    let state = String::new();
+    let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state, swaps, room_source: Some(0xa) };
     let running = reporter.report(&snapshot, &StageTimes::default());
+    assert_eq!([running.room_source(), stalled.room_source()], [Some(0xa), None]);
     assert_eq!([running, stalled].map(|status| LostDriver::all_of(&status)), [[lost], [lost]]);
 }

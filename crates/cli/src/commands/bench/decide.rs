@@ -149,7 +149,8 @@ fn overhead(plan: &Plan, subject: &Subject<'_>) -> Result<Row> {
 /// `policies`: every policy that can decide here, beside the inference engine alone.
 pub fn policies(args: &Args) -> Result<()> {
     let scenario = args.scenario.load_arrays()?;
-    anyhow::ensure!(args.model.is_none(), "--model: bench policies measures the built-in actors; use bench decide");
+    let refused = || exit::UnusableInput::new("--model: bench policies measures the built-in actors; use bench decide");
+    anyhow::ensure!(args.model.is_none(), refused());
     let engine = Engine::Own;
     let mut table =
         Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;

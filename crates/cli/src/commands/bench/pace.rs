@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 use heliostat_service::duration;
+use heliostat_service::exit::UnusableInput;
 
 /// How long one side runs before the other: far longer than a decision, far shorter than a drift of
 /// the machine.
@@ -38,9 +39,12 @@ impl PaceArgs {
     pub fn plans(&self, default_hz: &[f64]) -> Result<Vec<Plan>> {
         let paces = if self.hz.is_empty() { default_hz } else { &self.hz };
         let plan = |hz: &f64| {
-            ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: expected 0 (no pauses), or 0.1 to 10000");
+            ensure!(
+                *hz == 0.0 || (0.1..=10_000.0).contains(hz),
+                UnusableInput::new(format!("--hz {hz}: expected 0 (no pauses), or 0.1 to 10000"))
+            );
             let amount = match self.decisions {
-                Some(0) => bail!("--decisions 0: expected at least 1"),
+                Some(0) => bail!(UnusableInput::new("--decisions 0: expected at least 1")),
                 Some(decisions) => Amount::Decisions(decisions),
                 None => Amount::Time(self.seconds),
             };

@@ -19,6 +19,7 @@ use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::printable::printable;
 use heliostat_service::{outln, source_id};
+use heliostat_ui::find_absent_room;
 use serde_json::json;
 
 use super::args::ApplyArgs;
@@ -60,9 +61,10 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     let (room, keys) = (bus.room(), bus.room().array(args.array));
     let reports = Reports::subscribe(bus, args.array)?;
     let capabilities: Capabilities = fetch(bus, &keys.capabilities(), WAIT)?.with_context(|| {
+        let absent = find_absent_room([bus]).map_or_else(String::new, |absent| format!(": {absent}"));
         format!(
             "no driver of array {} answers in room \"{room}\". {NOTHING_SENT}: give --connect its endpoint or that of \
-             its router, and check --room and --array",
+             its router, and check --room and --array{absent}",
             args.array
         )
     })?;

@@ -21,6 +21,7 @@ use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
 use heliostat_service::locks::lock;
 use heliostat_service::source_id;
+use heliostat_ui::find_absent_room;
 
 use super::LOOK_EVERY;
 use super::args::Args;
@@ -89,9 +90,12 @@ impl LiveRoom {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
         let source = source_id::random();
         let yields = args.refine.is_some();
-        let capabilities: Capabilities = fetch(bus, &keys.capabilities(), WAIT)?.context(
-            "the array does not answer: connect to the process that drives it, or to its router, and check --room",
-        )?;
+        let unanswered = || {
+            let text =
+                "the array does not answer: connect to the process that drives it, or to its router, and check --room";
+            find_absent_room([bus]).map_or_else(|| text.to_owned(), |absent| format!("{text}: {absent}"))
+        };
+        let capabilities: Capabilities = fetch(bus, &keys.capabilities(), WAIT)?.with_context(unanswered)?;
         let safety: Option<SafetyReport> = fetch(bus, &keys.safety(), WAIT)?;
         let validity_ms = safety.as_ref().map_or(VALIDITY_MS, |safety| match safety.validity_max_ms {
             0 => VALIDITY_MS,

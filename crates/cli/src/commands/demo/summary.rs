@@ -310,6 +310,26 @@ mod tests {
     }
 
     #[test]
+    fn the_first_run_explains_each_figure_that_every_summary_has() {
+        let guide = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/tutorials/first-run.md");
+        let guide = std::fs::read_to_string(guide).expect("the guide");
+        let room = serde_json::to_value(heliostat_sim_node::Summary::default()).expect("a summary has a JSON form");
+        let mut summary = Summary::new(Some(&room), None, 1).expect("a complete summary");
+        summary.controller = Some(controller(&serde_json::json!({})));
+        let rates = SumRatesMbps { policy: 1.0, no_irs: 1.0, flat: 1.0, oracle: 1.0 };
+        let names = summary.times().into_iter().map(|(name, _)| name);
+        // The first row has the name of the policy.
+        let names = names.chain(rows(&rates, "greedy").skip(1).map(|(name, _)| name));
+        let ticks = ["ticks", "commands", "lost", "unattended", "waiting at the end", "late"];
+        let others =
+            ["decisions over 0.5 ms", "angles limited", "share of users with their minimum rate", "blocked users"];
+        let explained: String = guide.lines().filter(|line| line.starts_with("| `")).collect();
+        for name in names.chain(ticks).chain(others) {
+            assert!(explained.contains(&format!("`{name}`")), "{name}");
+        }
+    }
+
+    #[test]
     fn a_process_that_ended_early_has_no_rows_of_times() {
         let names = |summary: &Summary| summary.times().into_iter().map(|(name, _)| name).collect::<Vec<_>>();
         let none = Summary { room: None, controller: None, controllers_started: 1 };

@@ -18,6 +18,7 @@ use heliostat_room::World;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
+use heliostat_ui::find_absent_room;
 
 use super::args::Args;
 use super::check::{Check, Verdict};
@@ -69,6 +70,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     }
     let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
     let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
+    checks.extend(bus.and_then(check_room));
     let (answers, of_controller) = controller::checks(bus);
     checks.extend(check_drivers(args, &drivers, &scenario, answers.controller.as_ref()));
     checks.extend(geometry::checks(&scenario, &answers));
@@ -152,6 +154,12 @@ fn ask_drivers(
 fn check_unanswered(endpoint: &str) -> Check {
     let advice = "start the process there, or leave the endpoint out: what it alone reaches is not checked";
     Check::warn("endpoint", unanswered_in_words(endpoint), advice)
+}
+
+/// That the room has no process, where other rooms have some.
+fn check_room(bus: &Bus) -> Option<Check> {
+    let found = find_absent_room([bus])?;
+    Some(Check::warn("room", found, "give --room the name of one of them, or start the processes of this room"))
 }
 
 /// One check for each array of the scenario.

@@ -14,7 +14,7 @@ use heliostat_proto::Room;
 use heliostat_service::locks::lock;
 use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
-use heliostat_ui::StopSwitch;
+use heliostat_ui::{StopSwitch, find_absent_room};
 
 use crate::commands::join::{
     Unconnected, accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected,
@@ -265,6 +265,14 @@ impl Order {
         let sessions = sessions.map_err(|reason| self.purpose.unsent(&reason))?;
         sessions.into_iter().try_for_each(|bus| self.add(bus))?;
         Ok(config.room.clone())
+    }
+
+    /// That the room has no process where other rooms have some, over all sessions.
+    pub fn absent_room(&self) -> Option<String> {
+        let enter = |bus: &Bus| bus.enter(bus.room().clone());
+        // Without the lock: a further session joins meanwhile.
+        let sessions: Vec<Bus> = lock(&self.sessions).iter().map(enter).collect();
+        find_absent_room(&sessions)
     }
 
     /// Ends the sessions, so that what was sent leaves.

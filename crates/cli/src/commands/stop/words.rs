@@ -139,6 +139,14 @@ pub(super) fn with_state(error: anyhow::Error, held: Option<&str>, lost_devices:
     anyhow!("{error}{}", held.into_iter().chain(lost).collect::<String>())
 }
 
+/// An error of an order, with a last line about the rooms that are there where its own has no process.
+pub(super) fn with_rooms(error: anyhow::Error, absent: Option<String>) -> anyhow::Error {
+    match absent {
+        Some(absent) => anyhow!("{error:#}\n{absent}"),
+        None => error,
+    }
+}
+
 /// Whether one of these stops stands for others that the array could not list: their holders repeat them.
 pub(super) fn may_follow(released: &[RoomStop]) -> bool {
     released.iter().any(|stop| stop.stands_for_unlisted)
@@ -174,9 +182,16 @@ pub(super) fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String
     lines.join("\n")
 }
 
-/// A text, with the stops in force and the commands that release them.
-pub(super) fn with_releases(text: String, stops: &[RoomStop], release: &Release) -> String {
-    format!("{}\n{}", with_stops(text, "the stop", stops), release.lines(stops))
+/// A text, with the stops in force, that of this order first, and the commands that release them.
+pub(super) fn with_releases(text: String, stops: &[RoomStop], own: Option<StopName>, release: &Release) -> String {
+    let (own, others) = own_first(stops, own);
+    let text = with_stops(with_stops(text, "the stop", &own), "another stop", &others);
+    format!("{text}\n{}", release.lines(&[own, others].concat()))
+}
+
+/// The stop of this order, and the others.
+pub(super) fn own_first(stops: &[RoomStop], own: Option<StopName>) -> (Vec<RoomStop>, Vec<RoomStop>) {
+    stops.iter().cloned().partition(|stop| Some(stop.name) == own)
 }
 
 #[cfg(test)]
@@ -224,12 +239,12 @@ mod tests {
         let one = release.lines(std::slice::from_ref(&stop));
         assert_eq!(one, "to release: heliostat rearm --stop 0000000000000000/0");
         let other = RoomStop { name: StopName { source: 3, sequence: 4 }, ..stop.clone() };
-        let several = with_releases("done".to_owned(), &[stop.clone(), other], &release);
+        let several = with_releases("done".to_owned(), &[stop.clone(), other.clone()], Some(other.name), &release);
         let expected = "done\n\
-                        the stop: 0000000000000000/0: \"no record\"\n\
                         the stop: 0000000000000003/4: \"no record\"\n\
-                        to release: heliostat rearm --stop 0000000000000000/0\n\
+                        another stop: 0000000000000000/0: \"no record\"\n\
                         to release: heliostat rearm --stop 0000000000000003/4\n\
+                        to release: heliostat rearm --stop 0000000000000000/0\n\
                         to release all: heliostat rearm --all";
         assert_eq!(several, expected);
         let released = with_stops("done".to_owned(), "released", &[stop]);
@@ -272,6 +287,8 @@ mod tests {
         let held = text(Some("withheld by the stop of bea"));
         assert!(held.starts_with("no array received the order: "), "{held}");
         assert!(held.contains(". Commands are withheld by the stop of bea: the controller still holds this"), "{held}");
+        let absent = with_rooms(UiError::NoReceiver("array").into(), Some("room lba has no process here".to_owned()));
+        assert!(absent.to_string().ends_with("or start one\nroom lba has no process here"), "{absent}");
         assert_eq!(text(None), UiError::NoReceiver("array").to_string());
     }
 

@@ -1,6 +1,6 @@
 //! Tests of what a view keeps.
 
-use heliostat_proto::{SOURCES_MAX, Stamp, TruthUser, UserState};
+use heliostat_proto::{Room, SOURCES_MAX, Stamp, TruthUser, UserState};
 
 use super::*;
 use crate::sums::SumFigures;
@@ -41,6 +41,25 @@ fn the_reports_of_a_second_source_replace_those_of_the_first_one_only_after_its_
     received.take_users(UserReport { stamp: stamp(2), ..UserReport::default() });
     assert!(received.channel.is_none() && received.obstacles.is_none(), "those of the first one");
     assert_eq!(take(&mut received, 2), ([Some(2); 3], 3));
+}
+
+#[test]
+fn a_viewer_that_opens_late_displays_the_source_on_which_the_controller_decides() {
+    let mut received = Received::default();
+    received.alive.extend([(NodeKind::Tracker.name(), 1), (NodeKind::Tracker.name(), 2)]);
+    let take = |received: &mut Received, source| {
+        let stamp = Stamp { source, ..Stamp::default() };
+        received.take_users(UserReport { stamp, ..UserReport::default() });
+        received.users.as_ref().map(|(_, users)| users.stamp.source)
+    };
+    assert_eq!([take(&mut received, 2), take(&mut received, 1)], [Some(2); 2], "the first one that it received");
+    let mut decided = status(9, 5, 0);
+    decided.node = NodeKind::Controller;
+    decided.counters.push(NodeStatus::room_source_counter(1));
+    received.alive.insert((NodeKind::Controller.name(), 9));
+    received.take_status(0, decided);
+    assert_eq!(take(&mut received, 2), Some(2), "until the other one reports");
+    assert_eq!([take(&mut received, 1), take(&mut received, 2)], [Some(1); 2]);
 }
 
 #[test]
@@ -194,4 +213,21 @@ fn of_two_controllers_that_command_the_one_is_displayed_that_the_array_follows()
         shown(&received).0
     };
     assert_eq!([take(1, 900), take(2, 500), take(1, 900)], [1, 2, 2]);
+}
+
+#[test]
+fn a_room_of_which_nothing_is_seen_is_named_with_the_rooms_that_are_seen() {
+    let mut received = Received::of("lba");
+    let alone = received.unseen();
+    assert!(alone.as_deref().is_some_and(|note| note.starts_with("no process of this room answers: ")), "{alone:?}");
+    let other = Room::new("lab").expect("a valid name").alive(NodeKind::SimNode, 9);
+    received.take_token(&other, Presence::Alive);
+    let note = received.unseen().expect("the room has no process");
+    let start = "room lba has no process here: rooms that are there: lab; check --room and --connect";
+    assert!(note.starts_with(start), "{note}");
+    assert!(received.alive.is_empty(), "a process of another room is none of this one");
+    received.take_token(&other, Presence::Gone);
+    assert_eq!(received.unseen(), alone);
+    received.take_token(&other.replace("/lab/", "/lba/"), Presence::Alive);
+    assert_eq!(received.unseen(), None);
 }

@@ -2,7 +2,7 @@
 
 use heliostat_needs::needs;
 
-use super::{SMALL, mean, refusal, report};
+use super::{SMALL, eval, mean, refusal, report};
 
 #[needs("numpy")]
 #[test]
@@ -64,6 +64,10 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     }
     let message = refusal(&["--policies", "nowhere.py:act"]);
     assert!(message.contains("no file nowhere.py"), "{message}");
+    for unusable in ["nowhere.py:act", &name("nothing"), &name("odd")] {
+        let output = eval(&[&["--policies", unusable, "--states", "20", "--seeds", "1"][..], &SMALL].concat());
+        assert_eq!(output.status.code(), Some(2), "{unusable}: {}", String::from_utf8_lossy(&output.stderr));
+    }
 }
 
 #[needs("numpy")]

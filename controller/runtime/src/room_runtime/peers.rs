@@ -221,8 +221,8 @@ mod tests {
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE), [2]);
         statuses.note(&status(2), start + SILENCE);
         assert_eq!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2), [1]);
-        assert!(!statuses.is_standby_missing(&[1, 2], &[1], now), "one of two is silent");
-        assert!(statuses.is_standby_missing(&[1], &[1], now), "the one of the room is silent");
+        assert!(!statuses.is_standby_missing(&[1, 2], &[1], start), "one of two is silent");
+        assert!(statuses.is_standby_missing(&[1], &[1], start), "the one of the room is silent");
         assert!(statuses.silent(&[2], start + SILENCE * 3 / 2).is_empty(), "it has left");
         assert!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2).is_empty(), "it has joined");
     }

@@ -88,6 +88,7 @@ class Observer:
         self.session: Any = zenoh.open(config)
         self.keys = wire.keys(room, "viewer", 1, array)
         self.sequence = 0
+        self.publishers: dict[str, Any] = {}
         self.latest: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
         self._statuses: dict[int, dict[str, Any]] = {}
@@ -111,11 +112,14 @@ class Observer:
         return self._statuses.get({"controller": 0, "tracker": 3}[node], {})
 
     def publish(self, name: str, **fields: Any) -> None:
-        """Publishes an order with a stamp, or a command without one."""
+        """Publishes an order with a stamp, or a command without one, once a process receives such messages."""
+        if name not in self.publishers:
+            self.publishers[name] = self.session.declare_publisher(self.keys[name])
+        wait_until(f"subscriber of {name}", lambda: bool(self.publishers[name].matching_status.matching))
         self.sequence += 1
         stamp = {"source": 77, "sequence": self.sequence, "time_ns": time.time_ns()}
         message = fields if name == "command" else {"stamp": stamp, **fields}
-        self.session.put(self.keys[name], wire.encode(message, wire.KINDS[name]))
+        self.publishers[name].put(wire.encode(message, wire.KINDS[name]))
 
     def alive(self, pattern: str) -> list[str]:
         """The liveliness tokens of a pattern."""

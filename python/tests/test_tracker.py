@@ -53,13 +53,21 @@ def test_reports_have_a_tick_a_stamp_and_the_time_of_the_measurement() -> None:
         message = room.latest["users"]
         assert message["tick"] == message["stamp"]["sequence"] and message["stamp"]["time_ns"] == 1000
         assert message["users"][0]["position_m"][:2] == [1.5, -0.25]
-        tracker.publish("obstacles", {"obstacles": [{"x_m": -1.0, "y_m": 0.5, "radius_m": 0.25, "height_m": 1.75}]})
         gains = {"user": 3, "los_gain": 0.0, "irs_gain": 1e-6, "sinr": 42.5}
-        tracker.publish("channel", {"tick": tracker.ticks, "users": [gains]})
-        tracker.publish("orientation", {"users": [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}]})
         leds = {"user": 3, "serving": 0, "measures_each": False}
-        tracker.publish("leds", {"tick": 1, "users": [leds], "gains": []})
-        wait_until("other reports", lambda: {"obstacles", "channel", "orientation", "leds"} <= room.latest.keys())
+        others: dict[str, dict[str, Any]] = {
+            "obstacles": {"obstacles": [{"x_m": -1.0, "y_m": 0.5, "radius_m": 0.25, "height_m": 1.75}]},
+            "channel": {"tick": tracker.ticks, "users": [gains]},
+            "orientation": {"users": [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}]},
+            "leds": {"tick": 1, "users": [leds], "gains": []},
+        }
+
+        def other_reports() -> bool:
+            for name, fields in others.items():
+                tracker.publish(name, fields)
+            return others.keys() <= room.latest.keys()
+
+        wait_until("other reports", other_reports)
         with pytest.raises(ValueError, match="expected channel"):
             tracker.publish("command", {})
 

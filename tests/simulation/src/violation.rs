@@ -21,7 +21,7 @@ pub enum Invariant {
     Answer,
     /// Arrays that are not stopped follow again within 5 s after the last fault. A stop is confirmed.
     Recovery,
-    /// Beside a standby, the end of the leader alone leaves a gap of at most two report intervals. A
+    /// Beside a standby of rank 1, the end of the leader alone leaves a gap of at most two report intervals. A
     /// leader that hangs or reaches no array is shown by telemetry: one interval and two messages more.
     Gap,
     /// A calibration that leads alone is not disturbed: the array follows no other sender, and the lead returns.

@@ -250,3 +250,13 @@ fn telemetry_that_comes_while_a_report_is_on_its_way_delays_no_takeover() {
     let faults = [at(2860, 2500, Fault::Freeze { host: Role::Controller(0) })];
     holds(1_795_884_633_175_214, |_| {}, &faults);
 }
+
+/// The first controller, which has no given rank, was back beside the one of rank 2, and had the same rank by its source
+/// id: none had rank 1, and a gap of two report intervals was expected.
+#[test]
+fn standbys_of_one_rank_that_is_not_the_first_take_over_too() {
+    let crash = |host| Fault::Crash { host, disk: DiskAfterCrash::Kept };
+    let faults = [at(1512, 424, crash(Role::Controller(0))), at(4582, 5331, crash(Role::Controller(1)))];
+    let outcome = holds(67_224_025_747_932_474, |_| {}, &faults);
+    assert!(outcome.occurred.contains("took-over"), "{:?}", outcome.occurred);
+}

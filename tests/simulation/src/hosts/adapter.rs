@@ -141,6 +141,12 @@ impl Adapter {
         (0..self.controller().arrays()).all(|array| self.controller().tenure(array).standing() == standing)
     }
 
+    /// Whether it stands by for every array, and is the first to take over each one.
+    pub fn is_next(&self) -> bool {
+        let is_next = |array| self.controller().tenure(array).rank() == 1;
+        self.is_everywhere(Standing::Standby) && (0..self.controller().arrays()).all(is_next)
+    }
+
     /// Whether it leads an array, and another controller could take over: it then commands on while
     /// it ends.
     pub fn awaits_successor(&self) -> bool {

@@ -64,7 +64,7 @@ impl World {
         }
     }
 
-    /// Notes the loss of a controller that led beside a standby, if it is the only fault.
+    /// Notes the loss of a controller that led beside a standby of rank 1, if it is the only fault.
     pub(super) fn note_loss(&mut self, index: usize, host: usize, slack_ns: u64) {
         let Timed { at_ms, for_ms, .. } = self.faults[index];
         // A leader that is back at once competes with its standby.
@@ -75,9 +75,7 @@ impl World {
         };
         let leads = adapter(host).is_some_and(|adapter| adapter.is_everywhere(Standing::Leading));
         let stands_by = |other: usize| {
-            adapter(other).is_some_and(|adapter| {
-                adapter.is_everywhere(Standing::Standby) && adapter.count(TenureEvent::Contested) == 0
-            })
+            adapter(other).is_some_and(|adapter| adapter.is_next() && adapter.count(TenureEvent::Contested) == 0)
         };
         let has_standby = (0..self.hosts.len()).any(|other| other != host && stands_by(other));
         if is_alone && leads && has_standby && self.is_driven() {

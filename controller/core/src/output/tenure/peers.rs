@@ -54,7 +54,7 @@ impl Tenure {
     }
 
     /// Unanswered reports after which this standby takes over, without the back-off.
-    pub(super) fn rank(&self) -> u8 {
+    pub fn rank(&self) -> u8 {
         let Rule::Live { source, .. } = self.rule else { return u8::MAX };
         let is_before = |peer: &&u64| **peer < source && !self.leads(**peer);
         let counted = || RANK_MAX.min(1 + self.peers.iter().filter(is_before).count() as u8);

@@ -15,7 +15,6 @@ use crate::faults::effect::Effect;
 use crate::faults::namespace::{Cable, Link};
 use crate::faults::witness::Witness;
 use crate::process::{Ended, Process};
-use crate::wait::wait_until;
 
 /// The rooms: array and leader of the first are on host A, those of the second on host B.
 const ROOMS: [&str; 2] = ["studio", "foyer"];
@@ -109,20 +108,15 @@ impl Building {
     /// # Panics
     /// When that does not happen within the time limit.
     pub fn settle(&mut self, leader: Host) {
-        let [own, other] = [leader as usize, 1 - leader as usize];
         for _ in 0..20 {
             self.witness.wait_until_steady();
-            self.witness.forget_controllers();
-            wait_until("the status of both controllers", || self.is_standby().iter().all(Option::is_some));
-            let is_standby = self.is_standby();
-            if is_standby[own] == Some(false) && is_standby[other] == Some(true) {
+            let found = self.witness.wait_for_leader(&self.started_ns);
+            if found == leader as usize {
                 return;
             }
-            if is_standby[other] == Some(false) {
-                self.controller(other).kill();
-                self.witness.wait_until_steady();
-                self.restart_controller(if other == 0 { Host::A } else { Host::B });
-            }
+            self.controller(found).kill();
+            self.witness.wait_until_steady();
+            self.restart_controller(if found == 0 { Host::A } else { Host::B });
         }
         panic!("the controller of host {leader:?} does not stay in charge");
     }
@@ -132,13 +126,7 @@ impl Building {
     /// # Panics
     /// When it does not within the time limit.
     pub fn wait_for_standby(&self, host: Host) {
-        self.witness.forget_controllers();
-        wait_until("a standby", || self.is_standby()[host as usize] == Some(true));
-    }
-
-    /// Whether the controllers of the first room stand by.
-    fn is_standby(&self) -> Vec<Option<bool>> {
-        self.witness.is_standby(&self.started_ns)
+        self.witness.wait_for_standby(&self.started_ns, host as usize);
     }
 
     fn controller(&mut self, host: usize) -> &mut Process {

@@ -84,20 +84,8 @@ impl Team {
     /// # Panics
     /// When that does not happen within the time limit.
     pub fn settle(&self) -> [usize; 2] {
-        self.witness.forget_controllers();
-        let mut found = None;
-        wait_until("one controller that leads and others that stand by", || {
-            let standing = self.is_standby();
-            let of = |is_standby| (0..standing.len()).filter(|index| standing[*index] == Some(is_standby)).collect();
-            let (leaders, standbys): (Vec<usize>, Vec<usize>) = (of(false), of(true));
-            let is_settled = leaders.len() == 1 && leaders.len() + standbys.len() == self.controllers.len();
-            if !is_settled && standing.iter().all(Option::is_some) {
-                self.witness.forget_controllers();
-            }
-            found = is_settled.then(|| [leaders[0], standbys[0]]);
-            is_settled && self.witness.state() == Some(ArrayState::Following)
-        });
-        found.expect("waited for")
+        let leader = self.witness.wait_for_leader(&self.started_ns);
+        [leader, usize::from(leader == 0)]
     }
 
     /// Lets a fault happen, waits until all controllers are back, and returns its effect.
@@ -138,11 +126,6 @@ impl Team {
     /// The network of the hosts; each controller has the host of its index.
     pub fn segment(&self) -> &Segment {
         &self.segment
-    }
-
-    /// Whether each controller stands by, by its newest status.
-    fn is_standby(&self) -> Vec<Option<bool>> {
-        self.witness.is_standby(&self.started_ns)
     }
 
     fn start_controller(&self, index: usize) -> Process {

@@ -127,15 +127,46 @@ impl Witness {
         self.with(|received| received.statuses.len())
     }
 
-    /// States of the controllers by the start of their process, from statuses since the last
-    /// [`Witness::forget_controllers`].
+    /// States of the controllers by the start of their process, from statuses since a wait for one of them began.
     pub fn controllers(&self) -> BTreeMap<Nanos, String> {
         self.with(|received| received.controllers.clone())
     }
 
+    /// Waits until one controller leads and all others stand by, by statuses that begin now: the index of the leader.
+    /// `started_ns` has the time before the start of each.
+    ///
+    /// A controller that was just started stands by only after its first statuses.
+    ///
+    /// # Panics
+    /// When that does not happen within the time limit.
+    pub fn wait_for_leader(&self, started_ns: &[Nanos]) -> usize {
+        self.forget_controllers();
+        let mut found = None;
+        wait_until("one controller that leads and others that stand by", || {
+            let standing = self.is_standby(started_ns);
+            let leaders: Vec<usize> = (0..standing.len()).filter(|index| standing[*index] == Some(false)).collect();
+            let are_known = standing.iter().all(Option::is_some);
+            found = (are_known && leaders.len() == 1).then(|| leaders[0]);
+            if are_known && found.is_none() {
+                self.forget_controllers();
+            }
+            found.is_some() && self.state() == Some(ArrayState::Following)
+        });
+        found.expect("waited for")
+    }
+
+    /// Waits until this controller stands by, by a status that begins now.
+    ///
+    /// # Panics
+    /// When it does not within the time limit.
+    pub fn wait_for_standby(&self, started_ns: &[Nanos], index: usize) {
+        self.forget_controllers();
+        wait_until("a standby", || self.is_standby(started_ns)[index] == Some(true));
+    }
+
     /// Whether each controller stands by, by its newest status; `None` without one. `started_ns` has the time before
     /// the start of each.
-    pub fn is_standby(&self, started_ns: &[Nanos]) -> Vec<Option<bool>> {
+    fn is_standby(&self, started_ns: &[Nanos]) -> Vec<Option<bool>> {
         let mut found = vec![None; started_ns.len()];
         for (process_ns, state) in self.controllers() {
             // A status is of the controller that was started last before the start that it names.
@@ -147,8 +178,7 @@ impl Witness {
         found
     }
 
-    /// Forgets the states of the controllers.
-    pub fn forget_controllers(&self) {
+    fn forget_controllers(&self) {
         self.received.lock().expect("no callback panics").controllers.clear();
     }
 

@@ -1,5 +1,5 @@
-//! Rooms in operation, with the live page in a browser. One binary, because the limit of open
-//! browsers counts those of one process.
+//! Rooms in operation, with the live page in a browser. One binary, because a turn of a test is one among those of a
+//! process.
 
 mod arrays;
 mod belief;

@@ -213,12 +213,11 @@ impl RoomSession {
     }
 }
 
+/// Messages that wait, and their subscription.
+type Waiting<T> = (Arc<Mutex<Vec<T>>>, Subscription);
+
 /// Those of the messages under a key that wait, and their subscription.
-fn waiting<T: Send + 'static>(
-    bus: &Bus,
-    key: &str,
-    read: fn(&[u8]) -> Option<T>,
-) -> Result<(Arc<Mutex<Vec<T>>>, Subscription), NodeError> {
+fn waiting<T: Send + 'static>(bus: &Bus, key: &str, read: fn(&[u8]) -> Option<T>) -> Result<Waiting<T>, NodeError> {
     let messages = Arc::new(Mutex::new(Vec::new()));
     let arrived = Arc::clone(&messages);
     let subscription = bus.subscribe(key, move |payload| {

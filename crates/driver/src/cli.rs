@@ -36,7 +36,8 @@ enum Command {
     ///
     /// An array that starts stopped because its last state is unknown is re-armed first, and stopped
     /// again at the end, also after Ctrl-C, which ends the check after the present rule. A stop of an
-    /// operator stays in force, also one during the check: the check then ends with an error.
+    /// operator stays in force, also one during the check or at another array of the room: the check
+    /// then ends with an error.
     Check(CheckArgs),
 }
 

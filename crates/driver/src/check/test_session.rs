@@ -189,13 +189,20 @@ impl TestSession {
             stop.operator,
             stop.reason
         );
+        // A check that was killed can have left several.
+        let names = |report: &StopReport| -> Vec<(u64, u64)> {
+            report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
+        };
+        let listed = self.wait(ANSWER_TIMEOUT, |received| received.stops.last().map(names));
         let from = self.count();
-        self.send_rearm(name.0, name.1)?;
+        for (source, sequence) in listed.filter(|listed| !listed.is_empty()).unwrap_or_else(|| vec![name]) {
+            self.send_rearm(source, sequence)?;
+        }
         let released = self.telemetry(from, |telemetry| telemetry.state != ArrayState::Stopped);
         if released.is_none() {
             // It can still take effect.
             self.send_stop(StopAction::Stop, utc_ns())?;
-            bail!("the array is stopped, and a re-arm of that stop does not release it");
+            bail!("the array is stopped, and a re-arm of each stop that it reports does not release it");
         }
         self.was_stopped = true;
         Ok(())

@@ -44,8 +44,9 @@ fn a_check_ends_with_a_stop_where_it_began_with_one_and_a_later_check_releases_t
         let folder = tempfile::tempdir().unwrap();
         checked(room, |bus, stop| {
             let mut kit = Kit::new(Exact::new());
-            if let Some(operator) = stopped_by {
-                let stop = LatchedStop { source: 7, sequence: 1, operator: operator.into(), ..Default::default() };
+            // A check that was killed can leave several.
+            for (source, operator) in stopped_by.into_iter().flat_map(|operator| [(7, operator), (8, operator)]) {
+                let stop = LatchedStop { source, sequence: 1, operator: operator.into(), ..Default::default() };
                 kit.stop(Moment::default(), stop);
             }
             let record = StopRecordSettings { directory: Some(folder.path().to_owned()), start_armed: true };

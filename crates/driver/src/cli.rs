@@ -171,7 +171,9 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     let requested = end.clone();
     std::thread::spawn(move || {
         requested.wait();
-        output::note("the check ends after the present rule, and an array that was stopped before it is stopped again");
+        output::note(
+            "the check ends: a rule that has begun is judged first, and an array that it re-armed is stopped again",
+        );
     });
     let report = check::run(&config, array, args.wait, &end, &output::note)?;
     if args.json {

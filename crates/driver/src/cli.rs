@@ -36,7 +36,8 @@ enum Command {
     ///
     /// An array that starts stopped because its last state is unknown is re-armed first, and stopped
     /// again at the end, also after Ctrl-C, which ends the check after the present rule. A stop of an
-    /// operator stays in force, also one during the check: the check then ends with an error.
+    /// operator stays in force, also one during the check or at another array of the room: the check
+    /// then ends with an error.
     Check(CheckArgs),
 }
 
@@ -170,7 +171,9 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     let requested = end.clone();
     std::thread::spawn(move || {
         requested.wait();
-        output::note("the check ends after the present rule, and an array that was stopped before it is stopped again");
+        output::note(
+            "the check ends: a rule that has begun is judged first, and an array that it re-armed is stopped again",
+        );
     });
     let report = check::run(&config, array, args.wait, &end, &output::note)?;
     if args.json {

@@ -1,7 +1,7 @@
 // The buttons: each sends an order. A pressed button shows the published state, and the message beside the
 // buttons shows the answer of the process that received the order, never the click.
 
-import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
+import { CHECK_SERVER, Unanswered, ask, expectTaken, refusalIn } from "./requests.js";
 import { STALE_S, isReporting } from "./sentence.js";
 
 const POWERS_W = [0.5, 1, 2, 4];
@@ -61,6 +61,8 @@ export class Orders {
     // The names of the stops that the page shows: a re-arm releases these and no others.
     this.stops = [];
     this.newest = null;
+    // The number of the last order in an event.
+    this.newestId = null;
     this.hasFigures = false;
     this.status = document.getElementById("order-status");
     this.status.addEventListener("click", () => this.dismiss());
@@ -163,16 +165,19 @@ export class Orders {
   }
 
   async send(order) {
+    const before = this.newestId;
     try {
       const answer = await ask("order", ORDER_LIMIT_MS, {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
       const refusal = answer.ok ? null : await refusalIn(answer);
-      // The next event has the answer of the receiver to an order that reached the server; before the first one the page
-      // says what the server has answered.
+      if (answer.ok) expectTaken(answer);
+      // The next event has the answer of the receiver to an order that reached the server. Before the first one the page
+      // says what was answered, and of a refusal until an event has the order: it can be that of a proxy.
       const isInEvents = answer.ok || answer.status === 503 || answer.status === 422;
+      const isSaid = this.newestId !== before || (answer.ok && this.hasFigures);
       const text = isInEvents ? `${BUTTONS[order.order]}: ${refusal ?? "sent"}` : `refused: ${refusal}`;
-      this.own(isInEvents && this.hasFigures ? null : text, isInEvents);
+      this.own(isInEvents && isSaid ? null : text, isInEvents);
     } catch (error) {
       if (!(error instanceof Unanswered)) throw error;
       this.own(notConfirmed(order.order, error.message));
@@ -192,7 +197,7 @@ export class Orders {
     }
   }
 
-  // A message of the page itself; a provisional one ends with the first answer of an event.
+  // A message of the page itself; a provisional one ends with the first event that has a further order.
   own(text, isProvisional = false) {
     this.message = text && { text, isProvisional, until: performance.now() + OWN_MESSAGE_MS };
     this.show();
@@ -201,7 +206,10 @@ export class Orders {
   // The newest order that still has something to say.
   answers(orders) {
     this.newest = orders[0] ?? null;
-    if (this.newest && this.message?.isProvisional) this.message = null;
+    if (this.newest && this.newest.id !== this.newestId) {
+      this.newestId = this.newest.id;
+      if (this.message?.isProvisional) this.message = null;
+    }
     this.show();
   }
 
@@ -220,7 +228,7 @@ export class Orders {
   }
 
   show() {
-    if (this.newest?.id === this.dismissed) this.newest = null;
+    if (this.newest && this.newest.id === this.dismissed) this.newest = null;
     if (this.message && performance.now() > this.message.until) this.message = null;
     const text = this.message?.text ?? this.newest?.text ?? "";
     const answer = this.message ? "refused" : this.newest?.state;

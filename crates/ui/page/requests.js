@@ -23,7 +23,7 @@ export async function ask(path, limit_ms, options = {}) {
 // What the server says in a refusal. A text of another program between, such as a proxy, is no answer of the server.
 export async function refusalIn(answer) {
   const isOfServer = answer.headers.get("content-type")?.startsWith("text/plain") && ![502, 504].includes(answer.status);
-  if (!isOfServer) throw new Unanswered(`a proxy before the server answers with status ${answer.status}`);
+  if (!isOfServer) throw ofProxy(answer);
   try {
     return await answer.text();
   } catch (error) {
@@ -31,6 +31,14 @@ export async function refusalIn(answer) {
     throw new Unanswered("the answer of the server broke off");
   }
 }
+
+// That the server has taken an order. Any other success is that of a program between, such as the login page of a proxy.
+export function expectTaken(answer) {
+  const isOfServer = answer.status === 202 && answer.headers.get("content-type")?.startsWith("application/json");
+  if (!isOfServer) throw ofProxy(answer);
+}
+
+const ofProxy = ({ status }) => new Unanswered(`a proxy before the server answers with status ${status}`);
 
 // Why a request has no answer.
 function reasonOf(error, limit_ms) {

@@ -1,5 +1,6 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
+mod meanwhile;
 mod order;
 mod words;
 
@@ -10,6 +11,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, BusConfig, BusError, Identity, KeyError};
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_proto::{Room, StopName};
+use heliostat_service::clock::utc_ns;
 use heliostat_service::{EndArgs, duration, exit, output};
 use heliostat_ui::{Rights, StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
 use serde_json::json;
@@ -189,6 +191,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
+    let begun_ns = utc_ns();
     let order = Order::new(Purpose::Rearm, args.order.operator.as_deref(), args.order.timeout);
     order
         .end_with_a_word(|_| "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned());
@@ -196,8 +199,18 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let release = Release::new(&args.order.bus, Rights::All);
     let switch = &order.switch;
     let begun = Instant::now();
+    let meanwhile = order.meanwhile(begun_ns)?;
     let stops = switch.stops(*timeout);
     let known: Vec<StopName> = stops.iter().map(|stop| stop.name).collect();
+    // The operator has not seen them when the command began.
+    let is_later = |stop: &RoomStop| args.stop.is_none() && meanwhile.has(stop.name);
+    let (later, stops): (Vec<_>, Vec<_>) = stops.into_iter().partition(is_later);
+    if let (true, Some(rest), [first, ..]) = (stops.is_empty(), still_stopped(&later), &later[..]) {
+        bail!(
+            "{rest}, ordered during this command. Nothing was sent. To release it: `{}`",
+            release.of_stop(first.name)
+        );
+    }
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();

@@ -1,8 +1,8 @@
 //! What the session of the check has received.
 
 use heliostat_proto::{
-    Capabilities, CodecError, LatchedStopReport, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, StopName,
-    StopReport,
+    Capabilities, CodecError, EmergencyStop, LatchedStopReport, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport,
+    StopAction, StopName, StopReport,
 };
 
 /// All messages received.
@@ -18,6 +18,10 @@ pub struct Received {
     pub safety: Vec<SafetyReport>,
     /// Published stop reports.
     pub stops: Vec<StopReport>,
+    /// Stop reports of the other arrays of the room: its stops and re-arms are theirs too.
+    pub stops_elsewhere: Vec<StopReport>,
+    /// Stops and re-arms of kind 9, from any sender.
+    pub orders: Vec<EmergencyStop>,
     /// Statuses of drivers and simulators, with the kind of node that their key names.
     pub statuses: Vec<(NodeKind, Result<NodeStatus, CodecError>)>,
 }
@@ -28,12 +32,24 @@ impl Received {
         self.telemetry.len() + self.undecodable.len()
     }
 
-    /// A stop that the array has reported, and that is not the check's own; one without sender is none of an operator.
+    /// A stop that an array has reported or a sender has ordered, and that is not the check's own; one without sender is none
+    /// of an operator.
+    ///
+    /// An order is found at once: an array reports it later, and where its list is full, without its name.
     pub fn other_stop(&self, is_own: impl Fn(&LatchedStopReport) -> bool) -> Option<LatchedStopReport> {
         let latest = self.safety.iter().filter_map(SafetyReport::stop);
-        let mut all = latest.chain(self.stops.iter().flat_map(|report| report.stops.iter().cloned()));
+        let listed = self.stops.iter().chain(&self.stops_elsewhere).flat_map(|report| report.stops.iter().cloned());
+        let stops = self.orders.iter().filter(|order| order.action == StopAction::Stop);
+        let mut all = latest.chain(listed).chain(stops.map(as_reported));
         all.find(|stop| stop.name() != StopName::default() && !is_own(stop))
     }
+}
+
+/// A stop as an array lists it.
+fn as_reported(order: &EmergencyStop) -> LatchedStopReport {
+    let StopName { source, sequence } = order.name();
+    let (operator, reason) = (order.operator.clone(), order.reason.clone());
+    LatchedStopReport { source, sequence, arrived_ns: order.stamp.time_ns, operator, reason }
 }
 
 /// The latest problem of a device in the statuses of its driver.
@@ -56,7 +72,7 @@ pub fn problem_of_device<'a>(statuses: impl Iterator<Item = &'a NodeStatus>) -> 
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::decode;
+    use heliostat_proto::{Stamp, decode};
 
     use super::*;
 
@@ -91,6 +107,27 @@ mod tests {
         let last = SafetyReport { stop_source: 7, operator: "bob".to_owned(), ..received.safety[1].clone() };
         received.safety.push(last);
         assert_eq!(found(&received).as_deref(), Some("bob"));
+        let elsewhere = StopReport { stops: vec![listed(7, "cho")], ..StopReport::default() };
+        let elsewhere = Received { stops_elsewhere: vec![elsewhere], ..Received::default() };
+        assert_eq!(found(&elsewhere).as_deref(), Some("cho"), "of another array");
+    }
+
+    #[test]
+    fn the_stop_of_an_operator_is_found_by_its_order_before_an_array_names_it() {
+        let order = |action, operator: &str| EmergencyStop {
+            stamp: Stamp { source: 7, sequence: 1, time_ns: 5 },
+            action,
+            operator: operator.to_owned(),
+            ..EmergencyStop::default()
+        };
+        let mut received = Received::default();
+        received.orders.push(order(StopAction::Stop, "check"));
+        received.orders.push(order(StopAction::Rearm, "ann"));
+        let found = |received: &Received| received.other_stop(|stop| stop.operator == "check");
+        assert_eq!(found(&received), None, "neither its own stop nor a re-arm");
+        received.orders.push(order(StopAction::Stop, "ann"));
+        let stop = found(&received).expect("the stop of ann");
+        assert_eq!((stop.source, stop.sequence, stop.operator.as_str()), (7, 1, "ann"));
     }
 
     #[test]

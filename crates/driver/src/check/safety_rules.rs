@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result};
-use heliostat_proto::{ArrayState, Counters, MAX_STOPS, SafetyReport, StopAction, StopReport};
+use anyhow::Result;
+use heliostat_proto::{ArrayState, Counters, MAX_STOPS, MirrorTelemetry, Nanos, SafetyReport, StopAction, StopReport};
 use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, conditions, not_judged, shows, verdict};
@@ -31,7 +31,7 @@ const NO_STOP_REPORT: &str = "not supported: the driver publishes no stop report
 pub fn stop(session: &mut TestSession) -> Result<Outcome> {
     let stopped_ns = utc_ns();
     let from = session.count();
-    session.send_stop(StopAction::Stop, stopped_ns)?;
+    let stop = session.send_stop(StopAction::Stop, stopped_ns)?;
     let Some(telemetry) = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped) else {
         return verdict(false, format!("a stop was sent; state {:?} since", session.last().state));
     };
@@ -45,7 +45,7 @@ pub fn stop(session: &mut TestSession) -> Result<Outcome> {
     let (early, _) = session.send_and_count(&[bytes(&command)?])?;
     let ignored = early == Counters { stopped: 1, ..Counters::default() };
     let from = session.count();
-    rearm_unnamed(session)?;
+    rearm_unnamed(session, stop, stopped_ns)?;
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
     let command = session.command(roll, yaw);
     let (counted, after) = session.send_and_count(&[bytes(&command)?])?;
@@ -63,9 +63,11 @@ pub fn stop(session: &mut TestSession) -> Result<Outcome> {
 
 /// A stop outlives its sender.
 pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
-    if !session.send_stop_and_leave(StopAction::Stop, |telemetry| telemetry.state == ArrayState::Stopped)? {
+    let stopped_ns = utc_ns();
+    let shows = |telemetry: &MirrorTelemetry| telemetry.state == ArrayState::Stopped;
+    let Some(stop) = session.send_stop_and_leave(stopped_ns, shows)? else {
         return verdict(false, format!("a stop was sent by another process; state {:?} since", session.last().state));
-    }
+    };
     // Long enough for the driver to notice that the sender has left, and to report a change of
     // state.
     let left = session.count();
@@ -80,7 +82,7 @@ pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
     let (counted, _) = session.send_and_count(&[bytes(&command)?])?;
     let refused = counted == Counters { stopped: 1, ..Counters::default() };
     let from = session.count();
-    rearm_unnamed(session)?;
+    rearm_unnamed(session, stop, stopped_ns)?;
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
     conditions(
         &[
@@ -240,15 +242,14 @@ pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
     )
 }
 
-/// Releases the stop in force: by a re-arm of kind 9, or by its name in a room with keys, where a
-/// driver refuses kind 9.
-fn rearm_unnamed(session: &mut TestSession) -> Result<()> {
-    if !session.is_authenticated {
-        session.send_stop(StopAction::Rearm, utc_ns())?;
-        return Ok(());
+/// Releases a stop of the check by a re-arm of kind 9, which releases no later one; by its name in a room with keys, where
+/// a driver refuses kind 9.
+fn rearm_unnamed(session: &TestSession, (source, sequence): (u64, u64), stopped_ns: Nanos) -> Result<()> {
+    if session.is_authenticated {
+        return session.send_rearm(source, sequence);
     }
-    let report = session.fetch_safety()?.context("no safety report: expected one in a room with keys")?;
-    session.send_rearm(report.stop_source, report.stop_sequence)
+    session.send_stop(StopAction::Rearm, stopped_ns + 1)?;
+    Ok(())
 }
 
 /// The names of the stops in a report.

@@ -11,7 +11,7 @@ use heliostat_bus::arriving::fetch;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, LatchedStopReport, Message,
+    ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, LatchedStopReport, MAX_ARRAYS, Message,
     MirrorCommand, MirrorTelemetry, Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopRepetition,
     StopReport, decode, encode,
 };
@@ -90,7 +90,7 @@ impl TestSession {
                 shared.1.notify_all();
             })
         };
-        let subscriptions = vec![
+        let mut subscriptions = vec![
             subscribe(keys.telemetry(), |received, payload| match decode(payload) {
                 Ok(telemetry) => received.telemetry.push(telemetry),
                 Err(error) => received.undecodable.push(error),
@@ -106,7 +106,13 @@ impl TestSession {
             subscribe(room.status(NodeKind::SimNode), |received, payload| {
                 received.statuses.push((NodeKind::SimNode, decode(payload)));
             })?,
+            subscribe(room.stop(), |received, payload| received.orders.extend(decode::<EmergencyStop>(payload)))?,
         ];
+        for other in (0..MAX_ARRAYS).filter(|other| *other != array) {
+            subscriptions.push(subscribe(room.array(other).stops(), |received, payload| {
+                received.stops_elsewhere.extend(decode::<StopReport>(payload));
+            })?);
+        }
         let fetched = fetch(&bus, &keys.capabilities(), ANSWER_TIMEOUT)?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
@@ -183,13 +189,20 @@ impl TestSession {
             stop.operator,
             stop.reason
         );
+        // A check that was killed can have left several.
+        let names = |report: &StopReport| -> Vec<(u64, u64)> {
+            report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
+        };
+        let listed = self.wait(ANSWER_TIMEOUT, |received| received.stops.last().map(names));
         let from = self.count();
-        self.send_rearm(name.0, name.1)?;
+        for (source, sequence) in listed.filter(|listed| !listed.is_empty()).unwrap_or_else(|| vec![name]) {
+            self.send_rearm(source, sequence)?;
+        }
         let released = self.telemetry(from, |telemetry| telemetry.state != ArrayState::Stopped);
         if released.is_none() {
             // It can still take effect.
             self.send_stop(StopAction::Stop, utc_ns())?;
-            bail!("the array is stopped, and a re-arm of that stop does not release it");
+            bail!("the array is stopped, and a re-arm of each stop that it reports does not release it");
         }
         self.was_stopped = true;
         Ok(())
@@ -278,14 +291,16 @@ impl TestSession {
         Ok(self.commands.put(payload)?)
     }
 
-    /// Ends the check where another sender has stopped the array: no re-arm of the check may release that stop.
+    /// Ends the check where another sender has stopped an array: no re-arm of the check may release that stop. The array
+    /// gets this stop again, because a re-arm that was on its way may have released it.
     pub fn expect_no_other_stop(&self) -> Result<()> {
         let of_check = |source: u64| (source ^ self.source) < SENDERS;
         let is_own = |stop: &LatchedStopReport| stop.operator == OPERATOR || of_check(stop.source);
         let Some(stop) = self.inspect(|received| received.other_stop(is_own)) else { return Ok(()) };
+        self.repeat(&stop)?;
         bail!(
-            "{:?} has stopped the array during the check ({:?}): the check ends, and that stop stays in force; \
-             heliostat status names each stop",
+            "{:?} has stopped an array of this room ({:?}): the check ends, and that stop stays in force; heliostat \
+             status names each stop",
             stop.operator,
             stop.reason
         )
@@ -327,10 +342,16 @@ impl TestSession {
         (self.source ^ 2, 1)
     }
 
-    /// Publishes a repetition of a stop, as a controller does for an array that has not reported it.
-    pub fn send_repetition(&self, (stop_source, stop_sequence): (u64, u64)) -> Result<()> {
-        let stamp = self.stop_stamp(self.source, utc_ns());
+    /// Publishes a repetition of a stop of the check, as a controller does for an array that has not reported it.
+    pub fn send_repetition(&self, (source, sequence): (u64, u64)) -> Result<()> {
         let (operator, reason) = texts();
+        self.repeat(&LatchedStopReport { source, sequence, operator, reason, ..LatchedStopReport::default() })
+    }
+
+    /// Publishes a repetition of any stop.
+    fn repeat(&self, stop: &LatchedStopReport) -> Result<()> {
+        let LatchedStopReport { source: stop_source, sequence: stop_sequence, operator, reason, .. } = stop.clone();
+        let stamp = self.stop_stamp(self.source, utc_ns());
         Ok(self.repetitions.put(&bytes(&StopRepetition { stamp, stop_source, stop_sequence, operator, reason })?)?)
     }
 
@@ -387,16 +408,20 @@ impl TestSession {
         describe_failure(self.failure, self.is_device_lost(0).then_some(reported.as_str()))
     }
 
-    /// Does the same as another process, whose liveliness token disappears once the driver shows
-    /// the effect.
-    pub fn send_stop_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
+    /// Publishes a stop with this time as another process, whose liveliness token disappears once the driver shows the
+    /// effect; returns source and sequence of it, `None` where the driver does not show it.
+    pub fn send_stop_and_leave(
+        &self,
+        time_ns: Nanos,
+        shows: impl Fn(&MirrorTelemetry) -> bool,
+    ) -> Result<Option<(u64, u64)>> {
         let source = self.source ^ 3;
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
-        let from = self.count();
-        self.stops.put(&stop_message(self.stop_stamp(source, utc_ns()), action)?)?;
+        let (from, stamp) = (self.count(), self.stop_stamp(source, time_ns));
+        self.stops.put(&stop_message(stamp, StopAction::Stop)?)?;
         let received = self.telemetry(from, shows).is_some();
         drop(token);
-        Ok(received)
+        Ok(received.then_some((stamp.source, stamp.sequence)))
     }
 
     /// Publishes a calibration for `mirrors` mirrors with this gain and offset; returns its

@@ -131,6 +131,34 @@ fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_w
 
 #[needs("browser")]
 #[test]
+fn a_stop_that_a_program_between_answers_is_not_shown_as_taken() {
+    let (_setting, browser) = Setting::shown();
+    // A login page, an empty success, a refusal in the form of the server's, and the answer of the server.
+    let script = "return import('/orders.js').then(async ({ Orders }) => { \
+           const of = (body, status, type) => new Response(body, { status, headers: { 'content-type': type } }); \
+           const answers = [of('<h1>Sign in</h1>', 200, 'text/html'), new Response(null, { status: 204 }), \
+             of('no healthy upstream', 503, 'text/plain'), of('{}', 202, 'application/json')]; \
+           const [orders, send, said] = [new Orders(), window.fetch, []]; \
+           orders.hasFigures = true; \
+           for (const answer of answers) { \
+             window.fetch = async () => answer; \
+             await orders.send({ order: 'stop' }); \
+             said.push(orders.message?.text ?? ''); \
+           } \
+           window.fetch = send; \
+           return said; })";
+    let by_proxy = |status: u16| {
+        format!(
+            "not confirmed: STOP: a proxy before the server answers with status {status}; run `heliostat stop`, or cut the \
+             power of the mirrors"
+        )
+    };
+    let expected = [by_proxy(200), by_proxy(204), "STOP: no healthy upstream".to_owned(), String::new()];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     let (mut setting, browser) = Setting::shown();
     setting.room.kill();

@@ -175,7 +175,7 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
            const stop = document.getElementById('stop'); \
            stop.replaceWith(stop.cloneNode(true)); \
            const [sent, send] = [[], window.fetch]; \
-           const answers = [new Response(null, { status: 202 }), \
+           const answers = [new Response('{}', { status: 202, headers: { 'content-type': 'application/json' } }), \
              new Response('no array received it', { status: 503, headers: { 'content-type': 'text/plain' } })]; \
            window.fetch = async (path, { body }) => { sent.push([path, body]); return answers.shift(); }; \
            const orders = new Orders(); \
@@ -185,7 +185,7 @@ fn stop_acts_before_the_description_of_the_room_arrives() {
            await orders.send({ order: 'stop' }); \
            said.push(orders.message?.text); \
            window.fetch = send; \
-           orders.answers([{ text: 'stop: done', state: 'done' }]); \
+           orders.answers([{ id: 1, text: 'stop: done', state: 'done' }]); \
            return [sent, said, orders.status.textContent]; })";
     // A stop without an array is held, and not refused. The answer in the first figures replaces that of the page.
     let stop = json!(["order", r#"{"order":"stop"}"#]);

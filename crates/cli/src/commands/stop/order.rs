@@ -10,12 +10,13 @@ use anyhow::{Result, anyhow};
 use heliostat_bus::{
     ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached,
 };
-use heliostat_proto::Room;
+use heliostat_proto::{Nanos, Room};
 use heliostat_service::locks::lock;
 use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
 use heliostat_ui::{StopSwitch, find_absent_room};
 
+use super::meanwhile::Meanwhile;
 use crate::commands::join::{
     Unconnected, accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected,
 };
@@ -273,6 +274,11 @@ impl Order {
         // Without the lock: a further session joins meanwhile.
         let sessions: Vec<Bus> = lock(&self.sessions).iter().map(enter).collect();
         find_absent_room(&sessions)
+    }
+
+    /// The stops that are ordered from now on, of a command that began at this time.
+    pub fn meanwhile(&self, begun_ns: Nanos) -> Result<Meanwhile> {
+        Meanwhile::over(begun_ns, lock(&self.sessions).iter())
     }
 
     /// Ends the sessions, so that what was sent leaves.

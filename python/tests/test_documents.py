@@ -14,6 +14,7 @@ from typing import Any
 
 import heliostat
 import pytest
+from heliostat.envs import IDS
 from room import needs_program
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -103,6 +104,16 @@ def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:
     sizes = {"U": env.slots, "M": env.scenario.mirrors}
     for (_, cell), (_, shape) in zip(rows, env.parts.values(), strict=False):
         assert eval(cell, dict(sizes)) == shape, cell
+
+
+def test_the_guide_has_the_length_of_each_episode_and_leads_to_actions_that_learn() -> None:
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(heliostat/\S+)` \| (\d+) \|", page, re.MULTILINE)
+    assert rows == [(name, str(steps)) for name, (_, steps) in IDS.items()]
+    made = re.search(r"gymnasium\.make\((.*)\)", page)
+    assert made and 'action="weights"' in made[1], "the first episode"
+    commands = page.partition("## Train, export, run\n")[2].partition("```sh no-run\n")[2]
+    assert commands.startswith("python python/examples/ppo.py "), "the first training"
 
 
 def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room() -> None:

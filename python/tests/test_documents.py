@@ -116,12 +116,13 @@ def test_the_guide_has_the_length_of_each_episode_and_leads_to_actions_that_lear
     assert commands.startswith("python python/examples/ppo.py "), "the first training"
 
 
-def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room() -> None:
+@pytest.mark.parametrize(("title", "count"), [("Symbols", 14), ("Blockage: eq. (5)", 3)])
+def test_the_tables_of_the_physics_have_the_keys_and_values_of_the_default_room(title: str, count: int) -> None:
     page = (DOCS / "physics.md").read_text(encoding="utf-8")
-    section = page.partition("## Symbols\n")[2].partition("\n## ")[0]
+    section = page.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
     tables = heliostat.load_scenario("specular").tables()
     rows = re.findall(r"\| `(\w+)\.(\w+)` \| ([\d.]*) ?\|$", section, re.MULTILINE)
-    assert len(rows) >= 14
+    assert len(rows) >= count
     for table, key, value in rows:
         # A key without a value in the table is absent from the room.
         found = tables[table].get(key)

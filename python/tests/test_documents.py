@@ -106,6 +106,16 @@ def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:
         assert eval(cell, dict(sizes)) == shape, cell
 
 
+def test_the_guide_and_the_docstrings_state_that_a_function_publishes_no_belief_and_no_state() -> None:
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Command a room\n")[2].partition("\n## ")[0]
+    assert "publishes no belief and no state" in section
+    (row,) = re.findall(r"^\| `belief\(\)` \|.*$", page, re.MULTILINE)
+    assert "(#command-a-room)" in row
+    assert "no belief and no state" in (heliostat.run.__doc__ or "")
+    assert "`heliostat.run` publishes none" in (heliostat.Recording.belief.__doc__ or "")
+
+
 def test_the_guide_has_the_length_of_each_episode_and_leads_to_actions_that_learn() -> None:
     page = (DOCS / "python.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(heliostat/\S+)` \| (\d+) \|", page, re.MULTILINE)

@@ -22,7 +22,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.mark.parametrize(
     ("page", "count", "printed"),
-    [("python.md", 5, "Mbit/s, minimum rates met"), ("tutorials/python.md", 2, "ratio to the oracle")],
+    [("python.md", 5, "Mbit/s, minimum rates met"), ("tutorials/python.md", 3, "ratio minus that of the baseline")],
 )
 def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: Any) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
@@ -55,6 +55,8 @@ def test_the_titles_of_three_panels_of_the_study_do_not_overlap(
     (common,) = figure.texts
     assert common.get_window_extent().y0 >= max(title.y1 for title in titles)
     assert titles[0].x0 >= 0.0 and titles[-1].x1 <= figure.bbox.x1
+    assert "95 % intervals" in common.get_text()
+    assert common.get_window_extent().x0 >= 0.0 and common.get_window_extent().x1 <= figure.bbox.x1
 
 
 @needs_program
@@ -114,6 +116,18 @@ def test_the_guide_and_the_docstrings_state_that_a_function_publishes_no_belief_
     assert "(#command-a-room)" in row
     assert "no belief and no state" in (heliostat.run.__doc__ or "")
     assert "`heliostat.run` publishes none" in (heliostat.Recording.belief.__doc__ or "")
+
+
+def test_the_tutorial_states_that_its_results_are_of_one_training() -> None:
+    page = (DOCS / "tutorials" / "python.md").read_text(encoding="utf-8")
+    paragraph = page.partition("](../results/python-sac.md)")[2].partition("\n\n")[0]
+    assert "one training with one seed, without an interval" in paragraph
+
+
+def test_the_study_names_the_time_after_the_start() -> None:
+    page = (DOCS / "tutorials" / "own-study.md").read_text(encoding="utf-8")
+    samples, report = (page.partition(f"\n## {title}")[2].partition("\n## ")[0] for title in ("2. ", "5. "))
+    assert "--warm" in samples and "--warm" in report
 
 
 def test_the_guide_has_the_length_of_each_episode_and_leads_to_actions_that_learn() -> None:

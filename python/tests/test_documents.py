@@ -14,6 +14,7 @@ from typing import Any
 
 import heliostat
 import pytest
+from heliostat.envs import IDS
 from room import needs_program
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,7 +22,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.mark.parametrize(
     ("page", "count", "printed"),
-    [("python.md", 5, "Mbit/s, minimum rates met"), ("tutorials/python.md", 2, "ratio to the oracle")],
+    [("python.md", 5, "Mbit/s, minimum rates met"), ("tutorials/python.md", 3, "ratio minus that of the baseline")],
 )
 def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: Any) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
@@ -54,6 +55,8 @@ def test_the_titles_of_three_panels_of_the_study_do_not_overlap(
     (common,) = figure.texts
     assert common.get_window_extent().y0 >= max(title.y1 for title in titles)
     assert titles[0].x0 >= 0.0 and titles[-1].x1 <= figure.bbox.x1
+    assert "95 % intervals" in common.get_text()
+    assert common.get_window_extent().x0 >= 0.0 and common.get_window_extent().x1 <= figure.bbox.x1
 
 
 @needs_program
@@ -105,12 +108,45 @@ def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:
         assert eval(cell, dict(sizes)) == shape, cell
 
 
-def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room() -> None:
+def test_the_guide_and_the_docstrings_state_that_a_function_publishes_no_belief_and_no_state() -> None:
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Command a room\n")[2].partition("\n## ")[0]
+    assert "publishes no belief and no state" in section
+    (row,) = re.findall(r"^\| `belief\(\)` \|.*$", page, re.MULTILINE)
+    assert "(#command-a-room)" in row
+    assert "no belief and no state" in (heliostat.run.__doc__ or "")
+    assert "`heliostat.run` publishes none" in (heliostat.Recording.belief.__doc__ or "")
+
+
+def test_the_tutorial_states_that_its_results_are_of_one_training() -> None:
+    page = (DOCS / "tutorials" / "python.md").read_text(encoding="utf-8")
+    paragraph = page.partition("](../results/python-sac.md)")[2].partition("\n\n")[0]
+    assert "one training with one seed, without an interval" in paragraph
+
+
+def test_the_study_names_the_time_after_the_start() -> None:
+    page = (DOCS / "tutorials" / "own-study.md").read_text(encoding="utf-8")
+    samples, report = (page.partition(f"\n## {title}")[2].partition("\n## ")[0] for title in ("2. ", "5. "))
+    assert "--warm" in samples and "--warm" in report
+
+
+def test_the_guide_has_the_length_of_each_episode_and_leads_to_actions_that_learn() -> None:
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(heliostat/\S+)` \| (\d+) \|", page, re.MULTILINE)
+    assert rows == [(name, str(steps)) for name, (_, steps) in IDS.items()]
+    made = re.search(r"gymnasium\.make\((.*)\)", page)
+    assert made and 'action="weights"' in made[1], "the first episode"
+    commands = page.partition("## Train, export, run\n")[2].partition("```sh no-run\n")[2]
+    assert commands.startswith("python python/examples/ppo.py "), "the first training"
+
+
+@pytest.mark.parametrize(("title", "count"), [("Symbols", 14), ("Blockage: eq. (5)", 3)])
+def test_the_tables_of_the_physics_have_the_keys_and_values_of_the_default_room(title: str, count: int) -> None:
     page = (DOCS / "physics.md").read_text(encoding="utf-8")
-    section = page.partition("## Symbols\n")[2].partition("\n## ")[0]
+    section = page.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
     tables = heliostat.load_scenario("specular").tables()
     rows = re.findall(r"\| `(\w+)\.(\w+)` \| ([\d.]*) ?\|$", section, re.MULTILINE)
-    assert len(rows) >= 14
+    assert len(rows) >= count
     for table, key, value in rows:
         # A key without a value in the table is absent from the room.
         found = tables[table].get(key)

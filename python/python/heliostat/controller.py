@@ -113,6 +113,9 @@ def run(
     no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
     return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
 
+    The run publishes commands, stops and its status, but no belief and no state of the decision core: a recording has
+    none of them.
+
     Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns of the conditions of the scenario, as
     `heliostat-lab eval --closed-loop` states them. Warns with `RuntimeWarning` where no mirror has turned: no tracker or no
     array was in the room, or every command was withheld, as by a run that only stood by. The same where the fallback

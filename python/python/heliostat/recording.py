@@ -129,6 +129,7 @@ class Recording:
         the decision answers), `source` (of the controller), `user`, `position_m` (n, 3), `velocity_m_s` (n, 2), the
         covariance of x and y as `xx_m2`, `xy_m2` and `yy_m2`, `heading_rad`, `heading_certainty` from 0 (unknown) to 1,
         and `blocked_probability`. A controller publishes at most 20 a second, and none with a belief other than `filter`.
+        A function of `heliostat.run` publishes none: such a room has no rows.
         """
         return self._inner.belief()
 

@@ -56,7 +56,7 @@ pub struct Summary {
     /// Position reports published.
     pub ticks: u64,
     /// Ticks before the first answer: no controller was in the room yet. Also those without one during a stop of all
-    /// arrays.
+    /// arrays. Ticks after the last controller ended are lost.
     pub unattended_ticks: u64,
     /// Ticks that no accepted command answered in time, without those during a stop of all arrays.
     pub lost_ticks: u64,

@@ -2,7 +2,7 @@
 //!
 //! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the
 //! first answer count as unattended, not as lost, because no controller was in the room yet. So do ticks without an
-//! answer while every array is stopped: no array accepts one then.
+//! answer while every array is stopped: no array accepts one then. Ticks after the last controller ended are lost.
 
 use std::collections::VecDeque;
 
@@ -101,7 +101,7 @@ impl TickLedger {
         self.published
     }
 
-    /// Ticks that were never answered in time.
+    /// Ticks that were never answered in time, also those after the last controller ended.
     pub fn lost(&self) -> u64 {
         self.lost
     }
@@ -176,6 +176,16 @@ mod tests {
         ledger.published(5, 7);
         ledger.expire(8 + TICK_TIMEOUT_NS);
         assert_eq!((ledger.unattended(), ledger.lost()), (2, 1), "the last one came after the stop");
+    }
+
+    #[test]
+    fn ticks_after_the_controller_ended_are_lost_and_not_unattended() {
+        let mut ledger = TickLedger::default();
+        ledger.published(1, 1);
+        assert_eq!(ledger.answered(1, 2), Some(1));
+        ledger.published(2, 3);
+        ledger.expire(4 + TICK_TIMEOUT_NS);
+        assert_eq!((ledger.unattended(), ledger.lost()), (0, 1));
     }
 
     #[test]

@@ -82,7 +82,8 @@ impl RoomPart {
         let Self { ticks, commands, lost_ticks, unattended_ticks, waiting_ticks, late_ticks, .. } = self;
         format!(
             "ticks {ticks}: commands {commands}, lost {lost_ticks}, unattended {unattended_ticks}, waiting at the end \
-             {waiting_ticks}; late {late_ticks}\n(unattended: no controller, or a stop; waiting: the answer was on its way)"
+             {waiting_ticks}; late {late_ticks}\n(lost: also after a controller ended; unattended: before the first \
+             answer,\nor during a stop; waiting: the answer was on its way)"
         )
     }
 
@@ -327,6 +328,10 @@ mod tests {
         for name in names.chain(ticks).chain(others) {
             assert!(explained.contains(&format!("`{name}`")), "{name}");
         }
+        let words = RoomPart::deserialize(&room).expect("complete").ticks_in_words();
+        for line in words.lines().skip(1) {
+            assert!(guide.lines().any(|shown| shown == line), "{line}");
+        }
     }
 
     #[test]
@@ -359,8 +364,9 @@ mod tests {
             ..heliostat_sim_node::Summary::default()
         };
         let room = RoomPart::deserialize(serde_json::to_value(room).expect("a JSON form")).expect("complete");
-        let expected = "ticks 356: commands 354, lost 0, unattended 1, waiting at the end 1; late 0\n(unattended: no \
-                        controller, or a stop; waiting: the answer was on its way)";
+        let expected = "ticks 356: commands 354, lost 0, unattended 1, waiting at the end 1; late 0\n(lost: also \
+                        after a controller ended; unattended: before the first answer,\nor during a stop; waiting: \
+                        the answer was on its way)";
         assert_eq!(room.ticks_in_words(), expected);
         assert!(room.ticks_in_words().lines().all(|line| line.len() <= 80), "a line wraps in a terminal");
     }

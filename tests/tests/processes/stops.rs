@@ -419,10 +419,13 @@ fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     for (order, end) in
         [("stop", "To stop the mirrors now, cut their power"), ("rearm", "Each stop that is in force stays so")]
     {
-        let ended = Process::heliostat(&[order, "--connect", &endpoint]).wait();
-        let refusal = ended.refusal();
-        assert!(refusal.contains(&format!("no process answers at {endpoint}. Nothing was sent")), "{order}: {refusal}");
-        assert!(refusal.trim().ends_with(end), "{refusal}");
+        for client in [&["--client"][..], &[]] {
+            let ended = Process::heliostat(&[&[order, "--connect", &endpoint][..], client].concat()).wait();
+            let refusal = ended.refusal();
+            let expected = format!("no process answers at {endpoint}. Nothing was sent");
+            assert!(refusal.contains(&expected), "{order} {client:?}: {refusal}");
+            assert!(refusal.trim().ends_with(end), "{refusal}");
+        }
     }
     // A process of another kind accepts connections there.
     let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");

@@ -18,7 +18,7 @@ use crate::config::{BusConfig, Reach, Role};
 use crate::connection_watch::{ConnectionWatch, connections};
 use crate::error::BusError;
 use crate::resolve::first_unresolved;
-use crate::tls_check::{first_encrypted, first_problem, unanswered};
+use crate::tls_check::{all_refuse, first_encrypted, first_problem, unanswered};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
@@ -133,6 +133,11 @@ impl Bus {
             std::thread::sleep(CONNECTED_EVERY);
         }
         true
+    }
+
+    /// Whether each endpoint of the configuration refuses connections at once: no process listens there.
+    pub fn is_refused(config: &BusConfig) -> bool {
+        all_refuse(&config.connect)
     }
 
     /// That no process accepts connections at any endpoint of the configuration, in words.

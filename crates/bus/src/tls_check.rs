@@ -35,6 +35,26 @@ fn accepts(endpoint: &str) -> bool {
     }
 }
 
+/// Whether an endpoint refuses connections at once, because no process listens there. One that does not answer in time
+/// may be slow.
+fn refuses(endpoint: &str) -> bool {
+    let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
+    let address = parsed.address().as_str().to_owned();
+    let is_refused = |at: &SocketAddr| {
+        TcpStream::connect_timeout(at, STEP_LIMIT).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
+    };
+    match parsed.protocol().as_str() {
+        "tcp" | "tls" => resolve(&address).is_ok_and(|found| !found.is_empty() && found.iter().all(is_refused)),
+        "unixsock-stream" => !platform::accepts_at_socket(&address),
+        _ => false,
+    }
+}
+
+/// Whether there are endpoints, and each refuses connections at once.
+pub(crate) fn all_refuse(endpoints: &[String]) -> bool {
+    !endpoints.is_empty() && endpoints.iter().all(|endpoint| refuses(endpoint))
+}
+
 /// That no process accepts connections at any of these endpoints, in words.
 pub(crate) fn unanswered(endpoints: &[String]) -> Option<String> {
     let is_answered = endpoints.iter().any(|endpoint| accepts(endpoint));
@@ -257,5 +277,15 @@ mod tests {
         let found = first_that_accepts([closed, address(&listener)].into_iter());
         assert_eq!(found.and_then(|stream| stream.peer_addr().ok()), Some(address(&listener)));
         assert!(first_that_accepts([closed].into_iter()).is_none());
+    }
+
+    #[test]
+    fn endpoints_refuse_where_no_process_listens_at_any() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let listening = format!("tcp/{}", listener.local_addr().expect("bound"));
+        let closed = crate::free_loopback_endpoint().expect("a free port");
+        assert!(all_refuse(std::slice::from_ref(&closed)));
+        assert!(!all_refuse(&[closed, listening]));
+        assert!(!all_refuse(&[]), "a configuration without endpoints has a fault of its own");
     }
 }

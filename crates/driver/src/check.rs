@@ -55,7 +55,7 @@ pub fn run(config: &BusConfig, array: usize, wait: Duration, end: &Stop, show: &
     let (begun, mut is_shown, mut has_waited) = (Instant::now(), false, false);
     while !test_session::is_present(&bus, &keys)? {
         if begun.elapsed() >= wait {
-            let reason = Bus::find_connection_problem(config).map_or_else(
+            let reason = find_unconnected(config, &bus).map_or_else(
                 || {
                     format!(
                         "expected a liveliness token of a driver ({}) or a simulator; start it with the same room, \
@@ -103,6 +103,15 @@ pub fn run(config: &BusConfig, array: usize, wait: Duration, end: &Stop, show: &
     };
     session.close()?;
     Ok(report)
+}
+
+/// Why this process is not connected: a fault of a connection, or where it has none, that no process answers.
+fn find_unconnected(config: &BusConfig, bus: &Bus) -> Option<String> {
+    Bus::find_connection_problem(config).or_else(|| {
+        let is_alone = !config.connect.is_empty() && !bus.wait_connected(Duration::ZERO);
+        let find = || Bus::find_unresolved(config).or_else(|| Bus::find_unanswered(config));
+        if is_alone { find() } else { None }
+    })
 }
 
 /// Refuses a room with a controller that one of the processes in `connect` reaches: a peer sees only those to which it

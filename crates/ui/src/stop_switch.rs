@@ -232,6 +232,11 @@ impl StopSwitch {
         lock(&self.own).as_ref().map(|own| own.order.name())
     }
 
+    /// The last stop of this process, once it is given, also where no array is seen.
+    pub fn own_order(&self) -> Option<EmergencyStop> {
+        lock(&self.own).as_ref().map(|own| own.order.clone())
+    }
+
     /// Whether the last stop of this process is held for any array.
     pub fn is_own_held(&self) -> bool {
         self.room_stops().ordered.is_some()
@@ -330,7 +335,8 @@ impl StopSwitch {
             let is_counted = has_geometry || is_joining;
             let is_unknown = confirmed.is_some() && !is_counted && self.opened.elapsed() > ANNOUNCED_WITHIN;
             if begun.elapsed() >= limit || is_unknown {
-                return Err(self.unconfirmed(name, since, limit, sent.err()));
+                // A room of unknown size ends the wait before the limit.
+                return Err(self.unconfirmed(name, since, limit.min(begun.elapsed()), sent.err()));
             }
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.

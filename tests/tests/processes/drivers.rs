@@ -70,6 +70,21 @@ fn a_check_of_an_empty_room_is_refused() {
     let ended =
         Process::heliostat(&["driver", "check", "--room", "empty", "--wait", "1", "--listen", &endpoint]).wait();
     assert!(ended.refusal().contains("no driver in room \"empty\""), "{}", ended.errors);
+    let ended =
+        Process::heliostat(&["driver", "check", "--room", "empty", "--wait", "1", "--connect", &endpoint]).wait();
+    let expected =
+        format!("no driver in room \"empty\": this process is not connected: no process answers at {endpoint}");
+    assert!(ended.refusal().contains(&expected), "{}", ended.errors);
+}
+
+#[test]
+fn a_check_of_an_array_that_the_simulated_room_lacks_names_those_that_it_has() {
+    let endpoint = private_endpoint().unwrap();
+    let _room = Process::heliostat(&["sim-node", "--room", "one", "--listen", &endpoint, "--exit-with-parent"]);
+    let flags = ["driver", "check", "--room", "one", "--array", "2", "--wait", "100", "--connect", &endpoint];
+    let ended = Process::heliostat(&flags).wait();
+    let expected = "no array 2 in room \"one\": expected --array with one of 0";
+    assert!(ended.refusal().contains(expected), "{}", ended.errors);
 }
 
 #[needs("python-package")]

@@ -131,10 +131,12 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     let stopped = room.order("stop", &["--operator", "ann", "--reason", "person on the ladder"]);
     let refusal = stopped.refusal();
     assert!(
-        refusal.contains("array 1 does not answer: cut its power\nThe stop was sent, and stays in force"),
+        refusal.contains(
+            "array 1 does not answer: cut its power\nstopped by their reports: array 0\nThe stop was sent, and stays in force"
+        ),
         "{refusal}"
     );
-    assert!(!refusal.contains("array 0"), "{refusal}");
+    assert!(!refusal.contains("array 0 "), "nothing is open there: {refusal}");
     wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
     wait_until("its stop report", || room.operators(0) == ["ann"]);
     let name = room.stops[0].get().and_then(|report| report.stops.first().map(|stop| stop.name()));
@@ -353,6 +355,24 @@ fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_is_known(
     let mut room = TwoArrays::start("apart");
     // The drivers have no link to each other.
     room.controller.kill();
+    // Without --arrays the number is unknown, and what is known is printed beside the error.
+    let unknown = room.order("stop", &["--json"]);
+    assert!(unknown.refusal().contains("\nstopped by their reports: array 0, 1\n"), "{}", unknown.errors);
+    let object = unknown.last_json();
+    let error = object["error"].as_str().unwrap_or_default();
+    assert!(error.contains("no process announces how many arrays"), "{object}");
+    assert_eq!((&object["room"], &object["array"]), (&"apart".into(), &"unknown".into()), "{object}");
+    assert_eq!(object["stopped"], serde_json::json!([0, 1]), "{object}");
+    assert_eq!(
+        (&object["stops"], object["unrecorded"].as_array()),
+        (&object["in_force"], Some(&Vec::new())),
+        "{object}"
+    );
+    let own =
+        format!("{}/{}", object["stops"][0]["source"].as_str().unwrap_or_default(), object["stops"][0]["sequence"]);
+    assert!(error.contains(&format!("The stop is {own}; to release it")), "{object}");
+    let released = room.order("rearm", &["--stop", &own]);
+    assert!(released.status.success(), "{} {}", released.output, released.errors);
     let stopped = room.order("stop", &["--arrays", "2"]);
     assert!(stopped.status.success(), "{}", stopped.errors);
     room.wait_for([ArrayState::Stopped; 2]);
@@ -399,10 +419,13 @@ fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     for (order, end) in
         [("stop", "To stop the mirrors now, cut their power"), ("rearm", "Each stop that is in force stays so")]
     {
-        let ended = Process::heliostat(&[order, "--connect", &endpoint]).wait();
-        let refusal = ended.refusal();
-        assert!(refusal.contains(&format!("no process answers at {endpoint}. Nothing was sent")), "{order}: {refusal}");
-        assert!(refusal.trim().ends_with(end), "{refusal}");
+        for client in [&["--client"][..], &[]] {
+            let ended = Process::heliostat(&[&[order, "--connect", &endpoint][..], client].concat()).wait();
+            let refusal = ended.refusal();
+            let expected = format!("no process answers at {endpoint}. Nothing was sent");
+            assert!(refusal.contains(&expected), "{order} {client:?}: {refusal}");
+            assert!(refusal.trim().ends_with(end), "{refusal}");
+        }
     }
     // A process of another kind accepts connections there.
     let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");

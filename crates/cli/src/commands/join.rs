@@ -4,7 +4,7 @@
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, is_joined_through, join_through};
+use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, Reach, Role, is_joined_through, join_through};
 use heliostat_service::output;
 
 /// Shortest time in which another attempt to connect is of use.
@@ -56,7 +56,10 @@ pub(super) fn accepting_in_words(config: &BusConfig) -> String {
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, Unconnected> {
     let begun = Instant::now();
     if !is_joined_through(config) {
-        let bus = Bus::open(config).map_err(Unconnected::advised)?;
+        let bus = match config.role {
+            Role::Client => open_client(config, limit)?,
+            Role::Peer => Bus::open(config).map_err(Unconnected::advised)?,
+        };
         if config.listen.is_empty() {
             check_connected(&bus, config, limit)?;
         }
@@ -75,6 +78,19 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, Unconnect
         let left = limit.saturating_sub(begun.elapsed());
         if left < AGAIN_FROM { None } else { join_through(config, left).0 }
     })
+}
+
+/// A client of the router in `connect`; fails at once where each endpoint refuses the connection, and otherwise after the
+/// limit.
+fn open_client(config: &BusConfig, limit: Duration) -> Result<Bus, Unconnected> {
+    if Bus::is_refused(config)
+        && let Some(problem) = find_unconnected(config)
+    {
+        return Err(problem);
+    }
+    // A process that is there has the time to accept the connection.
+    let reach = Reach::Within(limit.max(ACCEPTS_WITHIN));
+    Bus::open(&config.clone().reaching(reach)).map_err(Unconnected::advised)
 }
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one
@@ -143,6 +159,10 @@ mod tests {
             joined.err().map(|refused| refused.with_advice("Give --connect")).unwrap_or_default()
         };
         assert_eq!(refusal(&absent), format!("no process answers at {absent}. Give --connect"));
+        let client = BusConfig { role: Role::Client, ..config.clone().connect_to(&absent) };
+        let refused = join(&client, Duration::from_secs(3600)).err().expect("no process is there");
+        let expected = format!("no process answers at {absent}. Give --connect");
+        assert_eq!(refused.with_advice("Give --connect"), expected, "at once, and not after the limit");
         let refused = refusal(&frozen);
         let expected =
             format!("the process at {frozen} does not answer as a process of a room within 1.2 s: it is frozen");

@@ -20,7 +20,7 @@ use super::join::Unconnected;
 use order::{Order, Purpose, operator_name};
 use words::{
     HELD, LOOK_AND_REPEAT, Release, confirmation_in_words, given, may_follow, open_in_words, own_first, own_in_words,
-    release_in_words, with_reach, with_releases, with_rooms, with_state, with_stops,
+    release_in_words, stopped_in_words, with_reach, with_releases, with_rooms, with_state, with_stops,
 };
 
 /// Time between two looks at a held stop.
@@ -129,8 +129,15 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let joined = begun.elapsed();
     order.note_sent();
     let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took);
-    let stopped =
-        stopped.map_err(|error| with_rooms(with_reach(error, &own_in_words(switch, &release)), order.absent_room()));
+    let stopped = stopped.map_err(|error| {
+        let (unrecorded, open) = (switch.unrecorded(timeout.saturating_sub(begun.elapsed())), open_of(&error));
+        let known = unconfirmed_to_json(&room, switch, &open, &unrecorded);
+        let reported = [vec![stopped_in_words(&switch.stopped_arrays())], unrecorded].concat();
+        let error = with_reach(error, &reported, &own_in_words(switch, &release));
+        let error = with_rooms(error, order.absent_room());
+        // The result of a stop that is held is that of its end.
+        if args.hold { error } else { args.order.failed(error, known) }
+    });
     note_unverified(switch);
     let Some(end) = end else {
         let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release)?;
@@ -180,12 +187,19 @@ pub fn stop(args: StopArgs) -> Result<()> {
         );
     }
     let open = if is_held { open_in_words(switch) } else { "another operator has released the stop".to_owned() };
-    order.close()?;
-    ensure!(
-        was_confirmed,
-        "not every array has confirmed the stop: {open}; look at `heliostat status`, or cut the power"
-    );
-    Ok(())
+    let failed = (!was_confirmed).then(|| {
+        let unrecorded = switch.unrecorded(Duration::ZERO);
+        let lines: Vec<String> = switch.problems().into_iter().filter(|line| !unrecorded.contains(line)).collect();
+        let known = unconfirmed_to_json(&room, switch, &lines, &unrecorded);
+        let error =
+            anyhow!("not every array has confirmed the stop: {open}; look at `heliostat status`, or cut the power");
+        args.order.failed(error, known)
+    });
+    let closed = order.close();
+    match failed {
+        Some(error) => Err(error),
+        None => Ok(closed?),
+    }
 }
 
 /// Runs `heliostat rearm`.
@@ -200,29 +214,36 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let switch = &order.switch;
     let begun = Instant::now();
     let meanwhile = order.meanwhile(begun_ns)?;
+    let failed = |error: anyhow::Error, named: &[RoomStop], open: &[String]| {
+        let mut result = to_json(&room, "unknown", None, [named, &switch.known_stops()]);
+        result["open"] = json!(open);
+        result["lost"] = json!(switch.unreleased_lost());
+        args.order.failed(error, result)
+    };
     let stops = switch.stops(*timeout);
     let known: Vec<StopName> = stops.iter().map(|stop| stop.name).collect();
     // The operator has not seen them when the command began.
     let is_later = |stop: &RoomStop| args.stop.is_none() && meanwhile.has(stop.name);
     let (later, stops): (Vec<_>, Vec<_>) = stops.into_iter().partition(is_later);
     if let (true, Some(rest), [first, ..]) = (stops.is_empty(), still_stopped(&later), &later[..]) {
-        bail!(
-            "{rest}, ordered during this command. Nothing was sent. To release it: `{}`",
-            release.of_stop(first.name)
-        );
+        let again = release.of_stop(first.name);
+        let error = anyhow!("{rest}, ordered during this command. Nothing was sent. To release it: `{again}`");
+        return Err(failed(error, &[], &[]));
     }
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
             if found.is_empty() {
                 let error = anyhow!("the stop {name} is not in force; nothing was sent");
-                return Err(with_state(error, switch.held_by_controller().as_deref(), &switch.lost_devices()));
+                let error = with_state(error, switch.held_by_controller().as_deref(), &switch.lost_devices());
+                return Err(failed(error, &[], &[]));
             }
             found
         }
         (None, false) if stops.len() > 1 => {
             let several = UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() };
-            bail!("{several}: `{}`, or `{}`", release.of_stop(stops[0].name), release.of_all());
+            let error = anyhow!("{several}: `{}`, or `{}`", release.of_stop(stops[0].name), release.of_all());
+            return Err(failed(error, &[], &[]));
         }
         _ => stops,
     };
@@ -233,13 +254,14 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
     note_unverified(switch);
     let took = released.map_err(|error| {
+        let open = open_of(&error);
         let error = match error {
             // The search for the stops is a part of the wait.
             UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
             error => error,
         };
         let error = with_state(error.into(), switch.held_by_controller().as_deref(), &switch.lost_devices());
-        with_rooms(error, order.absent_room())
+        failed(with_rooms(error, order.absent_room()), &named, &open)
     })?;
     lost.iter().for_each(output::note);
     switch.lost_devices().into_iter().for_each(output::note);
@@ -282,6 +304,16 @@ impl OrderArgs {
         }
     }
 
+    /// The same error; as JSON it is printed in this object, beside what is known of the stops and the arrays.
+    fn failed(&self, error: anyhow::Error, mut known: serde_json::Value) -> anyhow::Error {
+        if self.json {
+            known["error"] = json!(format!("{error:#}"));
+            // The error itself is on standard error.
+            drop(output::outcome(known));
+        }
+        error
+    }
+
     /// Prints that every array is stopped, with the stops in force; returns the arrays that do not record the stop.
     fn report(
         &self,
@@ -295,7 +327,7 @@ impl OrderArgs {
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         let (written, unrecorded) = if self.json {
             let unrecorded = find_unrecorded();
-            let mut result = to_json(room, "stopped", took, [&own_first(stops, own).0, stops]);
+            let mut result = to_json(room, "stopped", Some(took), [&own_first(stops, own).0, stops]);
             result["unrecorded"] = json!(unrecorded);
             (output::outcome(result), unrecorded)
         } else {
@@ -325,7 +357,7 @@ impl OrderArgs {
                 (true, true) => "unknown",
                 (true, false) => "released",
             };
-            let mut result = to_json(room, array, took, [released, held]);
+            let mut result = to_json(room, array, Some(took), [released, held]);
             result["lost"] = json!(lost);
             result.to_string()
         } else {
@@ -335,12 +367,43 @@ impl OrderArgs {
     }
 }
 
-/// The result of an order about these stops, with those in force after it.
-fn to_json(room: &Room, array: &str, took: Duration, [of_order, held]: [&[RoomStop]; 2]) -> serde_json::Value {
+/// What is known of a stop that is not confirmed: what is open, the arrays that have stopped, and those that do not
+/// record the stop.
+fn unconfirmed_to_json(room: &Room, switch: &StopSwitch, open: &[String], unrecorded: &[String]) -> serde_json::Value {
+    let stops = switch.known_stops();
+    let (mut own, _) = own_first(&stops, switch.own_name());
+    if own.is_empty() {
+        // No array is seen, and one that connected during the wait may have it.
+        own.extend(switch.own_order().map(|order| RoomStop {
+            name: order.name(),
+            operator: order.operator,
+            reason: order.reason,
+            arrays: Vec::new(),
+            known: Duration::ZERO,
+            stands_for_unlisted: false,
+        }));
+    }
+    let mut result = to_json(room, "unknown", None, [&own, &stops]);
+    result["open"] = json!(open);
+    result["stopped"] = json!(switch.stopped_arrays());
+    result["unrecorded"] = json!(unrecorded);
+    result
+}
+
+/// What is open of an order that is not confirmed, array by array.
+fn open_of(error: &UiError) -> Vec<String> {
+    match error {
+        UiError::StopUnconfirmed { arrays, .. } | UiError::RearmUnconfirmed { arrays, .. } => arrays.clone(),
+        _ => Vec::new(),
+    }
+}
+
+/// The result of an order about these stops, with those in force after it. An order that is not confirmed has no time.
+fn to_json(room: &Room, array: &str, took: Option<Duration>, [of_order, held]: [&[RoomStop]; 2]) -> serde_json::Value {
     json!({
         "room": room.name(),
         "array": array,
-        "confirmed_after_ms": took.as_secs_f64() * 1e3,
+        "confirmed_after_ms": took.map(|took| took.as_secs_f64() * 1e3),
         "stops": of_order.iter().map(as_json).collect::<Vec<_>>(),
         "in_force": held.iter().map(as_json).collect::<Vec<_>>(),
     })
@@ -353,4 +416,23 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
         "operator": operator,
         "reason": reason,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_that_no_array_received_is_named_in_its_object() {
+        let (room, switch) = (Room::new("lab").expect("a valid name"), StopSwitch::new("ann"));
+        let refused = switch.stop("smoke").expect_err("there is no array");
+        let name = switch.own_name().expect("it was given");
+        let object = unconfirmed_to_json(&room, &switch, &open_of(&refused), &[]);
+        assert_eq!(object["stops"][0]["source"], format!("{:016x}", name.source));
+        assert_eq!((&object["stops"][0]["operator"], &object["stops"][0]["reason"]), (&"ann".into(), &"smoke".into()));
+        assert_eq!((&object["array"], &object["confirmed_after_ms"]), (&"unknown".into(), &serde_json::Value::Null));
+        let arrays = vec!["array 0 does not answer".to_owned()];
+        let unconfirmed = UiError::StopUnconfirmed { waited: Duration::ZERO, arrays: arrays.clone() };
+        assert_eq!(open_of(&unconfirmed), arrays);
+    }
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use heliostat_bus::arriving::fetch;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::messages::fault;
@@ -26,6 +26,9 @@ use super::room_in_use::is_commanded;
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// Timeout of a query for the capabilities of another array.
+const OTHERS_WITHIN: Duration = Duration::from_millis(500);
 
 /// Telemetry messages within which each driver of the array has reported.
 const SOURCES_WITHIN: usize = 10;
@@ -77,6 +80,26 @@ pub fn is_present(bus: &Bus, keys: &ArrayKeys) -> Result<bool> {
     let simulators = bus.room().alive_of(NodeKind::SimNode);
     let present = |tokens: &str| Ok::<_, BusError>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
     Ok(present(&keys.drivers_alive())? || present(&simulators)?)
+}
+
+/// Why an array publishes no capabilities: the room has other arrays only, or its driver breaks the contract.
+fn without_capabilities(bus: &Bus, array: usize) -> Result<anyhow::Error> {
+    let room = bus.room();
+    let mut there = Vec::new();
+    // A simulator has no token for each of its arrays.
+    if bus.alive(&room.array(array).drivers_alive(), PRESENCE_LIMIT)?.is_empty() {
+        for other in 0..MAX_ARRAYS {
+            if !bus.fetch(&room.array(other).capabilities(), OTHERS_WITHIN)?.is_empty() {
+                there.push(other);
+            }
+        }
+    }
+    if there.is_empty() || there.contains(&array) {
+        let expected = "expected them each second and in answer to queries";
+        return Ok(anyhow!("the driver published no valid capabilities: {expected}"));
+    }
+    let there: Vec<String> = there.iter().map(usize::to_string).collect();
+    Ok(anyhow!("no array {array} in room \"{room}\": expected --array with one of {}", there.join(", ")))
 }
 
 impl TestSession {
@@ -138,9 +161,8 @@ impl TestSession {
         };
         if !session.answered {
             let announced = session.wait(ANSWER_TIMEOUT, |received| received.capabilities.last().cloned());
-            session.capabilities = announced.context(
-                "the driver published no valid capabilities: expected them each second and in answer to queries",
-            )?;
+            let Some(announced) = announced else { return Err(without_capabilities(&session.bus, array)?) };
+            session.capabilities = announced;
         }
         let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
         let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;

@@ -154,8 +154,13 @@ fn an_array_of_the_announced_geometry_that_was_never_seen_is_named() {
 #[test]
 fn a_room_that_announces_no_geometry_is_not_called_stopped_unless_the_operator_knows_its_arrays() {
     let (_arrays, switch, _sessions) = announced("unknown", &[Manner::Stops], None);
-    let open = unconfirmed(&switch);
+    let (waited, open) = match switch.stop_and_confirm("test", TIME_LIMIT).unwrap_err() {
+        UiError::StopUnconfirmed { waited, arrays } => (waited, arrays),
+        error => panic!("{error}"),
+    };
     assert!(open.len() == 1 && open[0].starts_with("no process announces how many arrays"), "{open:?}");
+    assert!(waited < TIME_LIMIT, "the wait ended before its limit, and is named as it was");
+    assert_eq!(switch.stopped_arrays(), [0], "what is known of it");
     switch.expect(1);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
 }

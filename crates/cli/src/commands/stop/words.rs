@@ -95,15 +95,20 @@ pub(super) fn own_in_words(switch: &StopSwitch, release: &Release) -> String {
 
 /// What is open of the stops of the room, and which arrays have stopped.
 pub(super) fn open_in_words(switch: &StopSwitch) -> String {
-    let stopped: Vec<String> = switch.stopped_arrays().iter().map(usize::to_string).collect();
-    let stopped = if stopped.is_empty() { "none".to_owned() } else { format!("array {}", stopped.join(", ")) };
-    let stopped = [format!("stopped by their reports: {stopped}")];
+    let stopped = [stopped_in_words(&switch.stopped_arrays())];
     stopped.into_iter().chain(switch.problems()).collect::<Vec<_>>().join("; ")
 }
 
-/// An error of a stop, in lines. An unconfirmed one has one line for each array, then what this command cannot see, and
-/// its name and its release.
-pub(super) fn with_reach(error: UiError, own: &str) -> anyhow::Error {
+/// Which arrays have stopped.
+pub(super) fn stopped_in_words(stopped: &[usize]) -> String {
+    let stopped: Vec<String> = stopped.iter().map(usize::to_string).collect();
+    let stopped = if stopped.is_empty() { "none".to_owned() } else { format!("array {}", stopped.join(", ")) };
+    format!("stopped by their reports: {stopped}")
+}
+
+/// An error of a stop, in lines. An unconfirmed one has one line for each array, then what the arrays report beside
+/// that, what this command cannot see, and its name and its release.
+pub(super) fn with_reach(error: UiError, reported: &[String], own: &str) -> anyhow::Error {
     let mut lines: Vec<String> = match error {
         UiError::StopUnconfirmed { waited, arrays } if !arrays.is_empty() => {
             let open = |open: String| match open == UNKNOWN_ARRAYS {
@@ -111,7 +116,8 @@ pub(super) fn with_reach(error: UiError, own: &str) -> anyhow::Error {
                 false => open,
             };
             let head = format!("the stop is not confirmed after {}:", in_seconds(waited));
-            [head].into_iter().chain(arrays.into_iter().map(open)).chain([SENT.to_owned()]).collect()
+            let open = arrays.into_iter().map(open).chain(reported.iter().cloned());
+            [head].into_iter().chain(open).chain([SENT.to_owned()]).collect()
         }
         error @ UiError::StopUnconfirmed { .. } => vec![error.to_string(), SENT.to_owned()],
         UiError::NoReceiver(receiver) => vec![format!(
@@ -202,7 +208,7 @@ mod tests {
     fn a_stop_in_a_room_of_unknown_size_names_the_flag_for_it() {
         let text = |arrays: &[&str]| {
             let arrays = arrays.iter().map(|open| (*open).to_owned()).collect();
-            with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }, "").to_string()
+            with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }, &[], "").to_string()
         };
         assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N\nThe stop was sent"));
         assert!(text(&[]).contains("array that returns later can get it then, and stop"));
@@ -213,10 +219,13 @@ mod tests {
     fn each_array_that_has_not_confirmed_has_a_line_of_its_own() {
         let open = [0, 1].map(|array| format!("array {array} does not answer: cut its power"));
         let error = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: open.to_vec() };
-        let text = with_reach(error, "The stop is 3/4").to_string();
+        let reported =
+            [stopped_in_words(&[2, 3]), "array 2 has stopped, but the stop is not recorded: full".to_owned()];
+        let text = with_reach(error, &reported, "The stop is 3/4").to_string();
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[0], "the stop is not confirmed after 5 s:");
         assert_eq!(lines[1..3], open);
+        assert_eq!(lines[3..5], ["stopped by their reports: array 2, 3", reported[1].as_str()]);
         assert_eq!(lines.last(), Some(&"The stop is 3/4"));
     }
 
@@ -303,7 +312,7 @@ mod tests {
         assert_eq!(own, format!("The stop is {name}; to release it: `heliostat rearm --stop {name}`"));
         let unconfirmed = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: Vec::new() };
         for error in [refused, unconfirmed] {
-            let text = with_reach(error, &own).to_string();
+            let text = with_reach(error, &[], &own).to_string();
             assert!(text.ends_with(&own), "{text}");
         }
         assert!(given(release)(&switch).ends_with(&own));
@@ -311,7 +320,7 @@ mod tests {
 
     #[test]
     fn a_stop_that_no_array_received_was_published_all_the_same() {
-        let text = with_reach(UiError::NoReceiver("array"), "").to_string();
+        let text = with_reach(UiError::NoReceiver("array"), &[], "").to_string();
         assert!(text.ends_with("An array that connected during the wait may have it"), "{text}");
         assert!(!text.contains("start one"), "{text}");
     }

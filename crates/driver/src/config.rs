@@ -156,6 +156,10 @@ impl BoardConfig {
                     min_deg < max_deg,
                     "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected min_deg below max_deg, for example -30 and 30"
                 );
+                ensure!(
+                    *min_deg >= -90.0 && *max_deg <= 90.0,
+                    "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected angles from -90 to 90"
+                );
                 for (key, value) in [
                     ("slew_deg_per_s", slew_deg_per_s),
                     ("settling_ms", settling_ms),
@@ -166,6 +170,11 @@ impl BoardConfig {
                         "{at}: invalid {key} {value}: expected 0 or more; 0 states that it is unknown"
                     );
                 }
+                ensure!(
+                    *resolution_deg <= max_deg - min_deg,
+                    "{at}: invalid resolution_deg {resolution_deg}: expected at most {}, the range from min_deg to max_deg",
+                    max_deg - min_deg
+                );
                 let radians = |degrees: &f64| degrees.to_radians() as f32;
                 let axis = AxisLimits {
                     min_rad: radians(min_deg),
@@ -259,6 +268,12 @@ mod tests {
             problem("calibration_reserve_deg = 1.0", "calibration_reserve_deg = -1.0").contains("expected 0 or more")
         );
         assert!(problem("max_deg = 30.0", "max_deg = nan").contains("expected min_deg below"));
+        for (from, to) in [("min_deg = -20.0", "min_deg = -400.0"), ("max_deg = 30.0", "max_deg = 1e6")] {
+            let beyond = problem(from, to);
+            assert!(beyond.contains("127.0.0.1:9000: min_deg = ") && beyond.contains("from -90 to 90"), "{beyond}");
+        }
+        let coarse = problem("max_deg = 30.0", "max_deg = 30.0\nresolution_deg = 100.0");
+        assert!(coarse.contains("127.0.0.1:9000: invalid resolution_deg 100: expected at most 50"), "{coarse}");
         for key in ["slew_deg_per_s", "settling_ms", "resolution_deg"] {
             for value in ["-1.0", "nan", "inf"] {
                 let refused = problem("max_deg = 30.0", &format!("max_deg = 30.0\n{key} = {value}"));

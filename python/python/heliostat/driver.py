@@ -50,7 +50,7 @@ from ._core import (
 )
 from ._stop_file import StopFile
 from ._watched import LastProblem, Watched
-from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
+from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, end_for, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
 _EVENTS_MAX = 100
@@ -244,7 +244,7 @@ def main(device: Device, given: argparse.Namespace) -> None:
     Where a method of the device does not return, the first signal names it. A second signal ends the driver at once,
     unless the method waits in C code.
 
-    The process exits with status 1 and the reason where the driver cannot run.
+    The process exits with the reason where the driver cannot run: with status 2 for settings that cannot be used, else 1.
     """
     try:
         counters = run(
@@ -256,7 +256,7 @@ def main(device: Device, given: argparse.Namespace) -> None:
             seconds=given.seconds,
         )
     except (PeerError, ValueError) as problem:
-        sys.exit(f"error: {problem}")
+        end_for(problem)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     print(f"commands accepted: {counters['accepted']}")

@@ -520,6 +520,16 @@ def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
             assert driver.returncode == 2 and f'invalid array "{array}": expected an index from 0 to 15' in errors, errors
 
 
+def test_a_device_without_capabilities_is_named() -> None:
+    class Unset(Mirrors):
+        capabilities = None  # type: ignore[assignment]
+
+    with pytest.raises(ValueError, match=r"^Unset\.capabilities = None: expected Capabilities"):
+        run(Unset(), Settings(listen=("tcp/127.0.0.1:0",)), seconds=0)
+    with pytest.raises(ValueError, match=r"^rows = 16385: expected an integer from 1 to 16384$"):
+        Capabilities("too many", 16385, 1, (-0.25, 0.5), (-0.25, 0.5))
+
+
 @pytest.mark.parametrize("array", [-1, 16, 2**80, "x", None])
 def test_an_index_outside_the_arrays_of_a_room_is_refused(array: Any) -> None:
     with pytest.raises(PeerError, match=r"array = .*: expected an integer from 0 to 15"):

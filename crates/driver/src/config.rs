@@ -5,9 +5,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_files::from_toml;
-use heliostat_proto::{AxisLimits, ValidityClock};
+use heliostat_proto::{AxisLimits, MAX_MIRRORS, ValidityClock};
 use heliostat_service::input;
-use serde::Deserialize;
+use serde::de::{Error, Unexpected};
+use serde::{Deserialize, Deserializer};
 
 use crate::devices::playzerx::{self, PlayzerX};
 use crate::devices::port::Address;
@@ -20,8 +21,10 @@ use crate::devices::wall::{Layout, Mounted, Wall};
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Rows of mirrors; row 0 is the lowest.
+    #[serde(deserialize_with = "side")]
     pub rows: usize,
     /// Columns of mirrors; mirror index = row * columns + column.
+    #[serde(deserialize_with = "side")]
     pub columns: usize,
     /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
     /// calibration.
@@ -76,6 +79,14 @@ pub enum BoardConfig {
         /// The indices of its mirrors, in the order of the channels.
         mirrors: Vec<usize>,
     },
+}
+
+/// A number of rows or columns.
+fn side<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let found = i64::deserialize(deserializer)?;
+    let side = usize::try_from(found).ok().filter(|side| (1..=MAX_MIRRORS).contains(side));
+    let expected = format!("a whole number from 1 to {MAX_MIRRORS}");
+    side.ok_or_else(|| D::Error::invalid_value(Unexpected::Signed(found), &expected.as_str()))
 }
 
 fn park_after_ms() -> u32 {
@@ -292,6 +303,11 @@ mod tests {
             |from: &str, to: &str| from_toml::<Config>(&TWO_BOARDS.replace(from, to)).expect_err("refused").to_string();
         let range = of("range_deg = 5.0", "range_deg = \"five\"");
         assert_eq!(range, "line 8: boards.0.range_deg: invalid type: string \"five\", expected a number");
+        for (rows, found) in [("-1", "`-1`"), ("0", "`0`"), ("16385", "`16385`")] {
+            let rows = of("rows = 1", &format!("rows = {rows}"));
+            let expected = format!("rows: invalid value: integer {found}, expected a whole number from 1 to 16384");
+            assert_eq!(rows.split_once(": ").map(|(_, rest)| rest), Some(expected.as_str()), "{rows}");
+        }
         let missing = of("max_deg = 30.0", "");
         // Boards of another kind have no such key.
         assert_eq!(missing, "line 5: boards: missing field `max_deg`");

@@ -41,6 +41,7 @@ from ._claim import Claim
 from ._core import (
     ARRAYS_MAX,
     KINDS,
+    MIRRORS_MAX,
     STOP_RECORD_END_WAIT_NS,
     Station,
     check_capabilities,
@@ -124,8 +125,8 @@ class Capabilities:
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
-            "rows": integer("rows", self.rows, 1, U32_MAX),
-            "columns": integer("columns", self.columns, 1, U32_MAX),
+            "rows": integer("rows", self.rows, 1, MIRRORS_MAX),
+            "columns": integer("columns", self.columns, 1, MIRRORS_MAX),
             "park_after_ms": integer("park_after_ms", self.park_after_ms, 0, U32_MAX),
             "roll_rad": _limits("roll_rad", self.roll_rad),
             "yaw_rad": _limits("yaw_rad", self.yaw_rad),
@@ -279,6 +280,8 @@ def run(
     where the room cannot be joined or another process has the array, and `ValueError` for capabilities that the
     contract does not allow.
     """
+    if not isinstance(given := getattr(device, "capabilities", None), Capabilities):
+        raise ValueError(f"{type(device).__name__}.capabilities = {given!r}: expected Capabilities, set before it runs")
     begin_ns = time.monotonic_ns()
 
     def now() -> tuple[int, int]:

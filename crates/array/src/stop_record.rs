@@ -1,8 +1,9 @@
 //! The emergency stop in a store that outlives the process, and what an unknown state means.
 //!
 //! Each array has one record. A missing, unreadable or damaged record means that the last state is
-//! unknown; the array then starts stopped. So it does if the record names another device. If a state cannot be written, the record is emptied, which
-//! has the same meaning. The store itself is the caller's: see [`StopStore`].
+//! unknown; the array then starts stopped. The release of another device means the same. If a state
+//! cannot be written, the record is emptied, with the same meaning. The store itself is the caller's:
+//! see [`StopStore`].
 //!
 //! A store can block, such as a disk. A thread that obeys stops therefore writes nothing: it takes a
 //! [`RecordTask`] from a [`RecordPlan`] and passes it to another thread. Reports that name a stop wait for
@@ -237,7 +238,7 @@ impl<S: StopStore> StopRecord<S> {
             Ok(Some(text)) => match Latch::parse_of(&text) {
                 // The release was of other mirrors. The stops of any device stay in force.
                 Ok((latch, Some(of))) if latch.stop().is_none() && of != store.device() => {
-                    stopped(format!("the last state is unknown: {name} is of {of:?}, not of {:?}", store.device()))
+                    stopped(format!("the last state is unknown: {name} is of {of}, not of {}", store.device()))
                 }
                 Ok((latch, _)) => latch,
                 Err(error) => stopped(format!("the last state is unknown: {name}: {error}")),

@@ -58,6 +58,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ARRAYS_MAX", heliostat_proto::MAX_ARRAYS)?;
     module.add("USERS_MAX", heliostat_proto::MAX_USERS)?;
     module.add("CLOCK_LEAD_MAX_NS", heliostat_proto::CLOCK_LEAD_MAX_NS)?;
+    module.add("MIRRORS_MAX", heliostat_proto::MAX_MIRRORS)?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("STOP_RECORD_END_WAIT_NS", heliostat_array::stop_record::END_WAIT_NS)?;
     module.add_function(wrap_pyfunction!(station::stop_record_folder, module)?)?;

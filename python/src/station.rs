@@ -141,11 +141,16 @@ impl Device for PyDevice {
 struct PyStore {
     object: Py<PyAny>,
     name: String,
+    device: String,
 }
 
 impl StopStore for PyStore {
     fn name(&self) -> String {
         self.name.clone()
+    }
+
+    fn device(&self) -> &str {
+        &self.device
     }
 
     fn read(&mut self) -> Result<Option<String>, String> {
@@ -227,7 +232,8 @@ impl Station {
         let room = wire::room(room)?;
         let capabilities = capabilities_of(capabilities)?;
         let name = stop_record::file_name(&room, array);
-        let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, object: store.unbind() };
+        let device = stop_record::device_of(&capabilities);
+        let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, device, object: store.unbind() };
         let (raised, received) = (Raised::default(), Arc::<Mutex<Arrivals>>::default());
         let clock = clock_of(clock, Arc::clone(&raised));
         let now = clock();

@@ -499,14 +499,35 @@ def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.Captu
 
 
 def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
-    for wrong, status in (((), 2), (("--rows", "two", "--columns", "3"), 2), (SIZE, 1)):
+    at = ("--connect", "tcp/127.0.0.1:1")
+    for wrong, reason in (
+        ((), "usage:"),
+        (("--rows", "two", "--columns", "3"), "usage:"),
+        (SIZE, "error: no endpoint"),
+        ((*SIZE, *at, "--room", "a/b"), "only ASCII letters"),
+        ((*SIZE, "--connect", "tcp/127.0.0.1"), "expected tcp/HOST:PORT"),
+        ((*SIZE, "--connect", "tls/127.0.0.1:1", "--tls", "absent"), "made by heliostat keys init"),
+    ):
         with python(EXAMPLES / "driver.py", *wrong, folder=tmp_path) as driver:
             _, errors = driver.communicate(timeout=LIMIT_S)
-            assert driver.returncode == status and ("usage:" in errors or "no endpoint" in errors), errors
+            assert driver.returncode == 2 and reason in errors, errors
+    with python(EXAMPLES / "tracker.py", folder=tmp_path) as tracker:
+        _, errors = tracker.communicate(timeout=LIMIT_S)
+        assert tracker.returncode == 2 and "error: no endpoint" in errors, errors
     for array in ("-1", "16", "two", "1.5", str(2**80)):
         with python(EXAMPLES / "driver.py", *SIZE, "--array", array, folder=tmp_path) as driver:
             _, errors = driver.communicate(timeout=LIMIT_S)
             assert driver.returncode == 2 and f'invalid array "{array}": expected an index from 0 to 15' in errors, errors
+
+
+def test_a_device_without_capabilities_is_named() -> None:
+    class Unset(Mirrors):
+        capabilities = None  # type: ignore[assignment]
+
+    with pytest.raises(ValueError, match=r"^Unset\.capabilities = None: expected Capabilities"):
+        run(Unset(), Settings(listen=("tcp/127.0.0.1:0",)), seconds=0)
+    with pytest.raises(ValueError, match=r"^rows = 16385: expected an integer from 1 to 16384$"):
+        Capabilities("too many", 16385, 1, (-0.25, 0.5), (-0.25, 0.5))
 
 
 @pytest.mark.parametrize("array", [-1, 16, 2**80, "x", None])

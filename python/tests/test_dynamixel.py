@@ -171,8 +171,8 @@ def test_a_port_that_another_driver_has_is_named_until_it_is_released() -> None:
         ([1], {}, "expected two for each"),
         ([1, 1], {}, "different identifiers"),
         ([1, 253], {}, "from 0 to 252"),
-        ([1, 2], {"range_rad": 4.0}, "range"),
-        ([1, 2], {"speed_rad_s": 0.0}, "speed"),
+        ([1, 2], {"range_rad": math.radians(400)}, "^range of 400 degrees: expected more than 0 and at most 90$"),
+        ([1, 2], {"speed_rad_s": 0.0}, r"^speed of 0 degrees/s: expected 1\.374 to 1719$"),
     ],
 )
 def test_values_that_no_chain_can_have_are_refused(servos: list[int], settings: dict[str, float], reason: str) -> None:

@@ -243,6 +243,13 @@ def test_a_pipe_in_place_of_the_record_or_of_its_new_file_makes_no_start_wait(tm
     assert "expected a regular file" in (Driven(tmp_path, Mirrors()).station.advice or "")
 
 
+def test_another_device_starts_stopped_with_the_record_of_a_released_one(tmp_path: Path) -> None:
+    assert Driven(tmp_path, Mirrors()).station.advice is None
+    assert Driven(tmp_path, Mirrors()).station.advice is None, "the same device"
+    larger = Driven(tmp_path, Mirrors(rows=4, columns=6)).station.advice or ""
+    assert "two mirrors, 1 x 2 mirrors" in larger and "two mirrors, 4 x 6 mirrors" in larger
+
+
 def test_another_process_is_a_problem_of_the_status(driven: Driven) -> None:
     driven.station.note_other_process("another driver has joined the room")
     assert driven.station.last_problem == "another driver has joined the room"

@@ -66,9 +66,9 @@ def test_flags_that_cannot_be_used_are_refused(flags: tuple[str, ...], reason: s
     assert status == 2 and reason in capsys.readouterr().err
 
 
-def test_a_room_that_cannot_be_joined_and_no_data_end_with_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_that_cannot_be_used_end_with_status_2_and_no_data_with_1(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("paho.mqtt.client")
-    assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9"]) == 1
+    assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9"]) == 2
     assert "error: no endpoint: expected --listen or --connect" in capsys.readouterr().err
     assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9", "--dry-run", "--seconds", "0.5"]) == 1
     assert "reports made: 0" in capsys.readouterr().out

@@ -7,6 +7,7 @@
 //! ```toml
 //! version = 2
 //! count = 1                    # of the stops; a text that is cut off between two of them has fewer
+//! device = "servo board, 4 x 6 mirrors"  # absent where the writer knows none
 //! stopped = true
 //!
 //! [[stops]]                    # absent where stopped is false
@@ -163,6 +164,9 @@ struct LatchText {
     /// Number of the stops; absent in older records. Before `stopped`, so that no cut leaves it out.
     #[serde(skip_serializing_if = "Option::is_none")]
     count: Option<usize>,
+    /// The device whose stops they are; absent in older records. Before `stopped` for the same reason.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    device: Option<String>,
     stopped: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     stop: Option<StopText>,
@@ -260,14 +264,20 @@ impl Latch {
         Ok(released.map(|stop| stop.name()).collect())
     }
 
-    /// The text that [`Latch::parse`] reads.
+    /// The text that [`Latch::parse`] reads, without a device.
+    pub fn to_toml(&self) -> String {
+        self.to_toml_of("")
+    }
+
+    /// The text of the stops of a device, for [`Latch::parse_of`]; the empty name stands for none.
     ///
     /// # Panics
     /// Never: every latch can be written as TOML.
-    pub fn to_toml(&self) -> String {
+    pub fn to_toml_of(&self, device: &str) -> String {
         let stops: Vec<StopText> = self.stops.iter().map(StopText::of).collect();
         let count = Some(stops.len());
-        let text = LatchText { version: VERSION, count, stopped: !stops.is_empty(), stop: None, stops };
+        let device = (!device.is_empty()).then(|| device.to_owned());
+        let text = LatchText { version: VERSION, count, device, stopped: !stops.is_empty(), stop: None, stops };
         toml::to_string(&text).expect("texts and numbers of 32 bits can be written as TOML")
     }
 
@@ -276,7 +286,15 @@ impl Latch {
     /// # Errors
     /// [`LatchTextError`]: the state is unknown, so the array must start stopped.
     pub fn parse(text: &str) -> Result<Self, LatchTextError> {
-        let LatchText { version, count, stopped, stop, stops } = from_toml(text)?;
+        Self::parse_of(text).map(|(latch, _)| latch)
+    }
+
+    /// Reads the state from its text, and the device whose state it is, where the text has one.
+    ///
+    /// # Errors
+    /// As for [`Latch::parse`].
+    pub fn parse_of(text: &str) -> Result<(Self, Option<String>), LatchTextError> {
+        let LatchText { version, count, device, stopped, stop, stops } = from_toml(text)?;
         let stops = match version {
             VERSION_OF_ONE if stops.is_empty() => stop.into_iter().collect(),
             VERSION if stop.is_none() => stops,
@@ -292,7 +310,7 @@ impl Latch {
         if stops.len() > MAX_STOPS {
             return Err(LatchTextError::TooMany { found: stops.len() });
         }
-        Ok(Self { stops: stops.into_iter().map(StopText::read).collect::<Result<_, _>>()? })
+        Ok((Self { stops: stops.into_iter().map(StopText::read).collect::<Result<_, _>>()? }, device))
     }
 }
 
@@ -349,14 +367,18 @@ mod tests {
         both.engage(LatchedStop { source: 5, ..stop() });
         assert_eq!(both.stops().len(), 2);
         for latch in [Latch::default(), Latch::stopped(stop()), Latch::stopped(LatchedStop::default()), both] {
-            assert_eq!(Latch::parse(&latch.to_toml()).unwrap(), latch, "{}", latch.to_toml());
+            assert_eq!(Latch::parse_of(&latch.to_toml()).unwrap(), (latch.clone(), None), "{}", latch.to_toml());
+            let of_device = latch.to_toml_of("\"board\"\n, 4 x 6 mirrors");
+            let device = Some("\"board\"\n, 4 x 6 mirrors".to_owned());
+            assert_eq!(Latch::parse_of(&of_device).unwrap(), (latch, device), "{of_device}");
         }
     }
 
     #[test]
     fn a_text_that_is_cut_off_or_changed_is_no_state() {
         let text = Latch::stopped(stop()).to_toml();
-        for text in [text.clone(), latch_of(3).to_toml(), Latch::default().to_toml()] {
+        let of_device = Latch::default().to_toml_of("board, 4 x 6 mirrors");
+        for text in [text.clone(), latch_of(3).to_toml(), Latch::default().to_toml(), of_device] {
             for end in 0..text.trim_end().len() {
                 if text.is_char_boundary(end) {
                     let refusal = Latch::parse(&text[..end]).err().map(|error| error.to_string());

@@ -1,8 +1,9 @@
 //! The emergency stop in a store that outlives the process, and what an unknown state means.
 //!
 //! Each array has one record. A missing, unreadable or damaged record means that the last state is
-//! unknown; the array then starts stopped. If a state cannot be written, the record is emptied, which
-//! has the same meaning. The store itself is the caller's: see [`StopStore`].
+//! unknown; the array then starts stopped. The release of another device means the same. If a state
+//! cannot be written, the record is emptied, with the same meaning. The store itself is the caller's:
+//! see [`StopStore`].
 //!
 //! A store can block, such as a disk. A thread that obeys stops therefore writes nothing: it takes a
 //! [`RecordTask`] from a [`RecordPlan`] and passes it to another thread. Reports that name a stop wait for
@@ -11,7 +12,7 @@
 use std::path::{Path, PathBuf};
 
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{Nanos, Room, StopReport, cut};
+use heliostat_proto::{Capabilities, Nanos, Room, StopReport, cut};
 use thiserror::Error;
 
 use crate::latch::{Latch, LatchedStop};
@@ -62,6 +63,11 @@ pub const END_UNSETTLED: &str = "stops arrived until the end of the driver: the 
 pub trait StopStore {
     /// Its name in messages, such as the path of the file.
     fn name(&self) -> String;
+
+    /// The device whose stops it keeps, as [`device_of`] names it; empty if that is unknown.
+    fn device(&self) -> &str {
+        ""
+    }
 
     /// The record; `None` if there is none.
     ///
@@ -119,7 +125,11 @@ impl RecordTask {
     /// Whether the store no longer has the stops. A lost record without a stop needs no care: it makes
     /// the next start a stopped one, or the first.
     fn is_lost<S: StopStore>(&self, store: &mut S) -> bool {
-        self.latch.stop().is_some() && store.read().ok().flatten().is_none_or(|text| text != self.latch.to_toml())
+        if self.latch.stop().is_none() {
+            return false;
+        }
+        let found = store.read().ok().flatten();
+        found.is_none_or(|text| text != self.latch.to_toml_of(store.device()))
     }
 }
 
@@ -225,8 +235,12 @@ impl<S: StopStore> StopRecord<S> {
         let stopped = |reason: String| Latch::stopped(LatchedStop::without_sender(&reason, now_ns));
         let name = store.name();
         let mut latch = match store.read() {
-            Ok(Some(text)) => match Latch::parse(&text) {
-                Ok(latch) => latch,
+            Ok(Some(text)) => match Latch::parse_of(&text) {
+                // The release was of other mirrors. The stops of any device stay in force.
+                Ok((latch, Some(of))) if latch.stop().is_none() && of != store.device() => {
+                    stopped(format!("the last state is unknown: {name} is of {of}, not of {}", store.device()))
+                }
+                Ok((latch, _)) => latch,
                 Err(error) => stopped(format!("the last state is unknown: {name}: {error}")),
             },
             Ok(None) if start_armed => Latch::default(),
@@ -278,7 +292,8 @@ impl<S: StopStore> StopRecord<S> {
 }
 
 fn write<S: StopStore>(store: &mut S, latch: &Latch) -> Result<(), RecordError> {
-    let Err(problem) = store.replace(&latch.to_toml()) else { return Ok(()) };
+    let text = latch.to_toml_of(store.device());
+    let Err(problem) = store.replace(&text) else { return Ok(()) };
     let consequence = match store.empty() {
         Ok(()) => "the next start is stopped; free the disk, or make the folder writable",
         Err(_) if latch.stop().is_some() => {
@@ -295,6 +310,12 @@ pub fn with_record_problem(mut report: StopReport, problem: Option<&str>) -> Sto
         cut(problem).clone_into(&mut report.problem);
     }
     report
+}
+
+/// The name of a device in the record: its hardware and its size.
+pub fn device_of(capabilities: &Capabilities) -> String {
+    let Capabilities { hardware, rows, columns, .. } = capabilities;
+    format!("{hardware}, {rows} x {columns} mirrors")
 }
 
 /// Name of the file that keeps the stop of an array.

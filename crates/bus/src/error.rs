@@ -173,6 +173,15 @@ pub enum KeyError {
         /// The operating system's or parser's message.
         problem: String,
     },
+    /// A folder has the certificate of an authority, but not its private key.
+    #[error(
+        "there is no {}: expected the folder of the authority, which has ca.key; give that one with --dir AUTHORITY, and \
+         the folder whose certificates are written with --out DIR", path.display()
+    )]
+    NoAuthorityKey {
+        /// The file of the key.
+        path: PathBuf,
+    },
     /// A file or folder cannot be written.
     #[error("cannot write {}: {problem}; {advice}", path.display())]
     CannotWrite {

@@ -200,6 +200,9 @@ impl Authority {
         let room =
             room.ok_or_else(|| KeyError::ForeignName { path: path.clone(), name: certificate.common_name.clone() })?;
         let key_path = folder.join(AUTHORITY_KEY);
+        if !key_path.exists() {
+            return Err(KeyError::NoAuthorityKey { path: key_path });
+        }
         let key = KeyPair::from_pem(&read_private(&key_path)?)
             .map_err(|error| KeyError::NotAPrivateKey { path: key_path, problem: error.to_string() })?;
         let certificate_text =

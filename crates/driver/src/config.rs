@@ -5,9 +5,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_files::from_toml;
-use heliostat_proto::{AxisLimits, ValidityClock};
+use heliostat_proto::{AxisLimits, MAX_MIRRORS, ValidityClock};
 use heliostat_service::input;
-use serde::Deserialize;
+use serde::de::{Error, Unexpected};
+use serde::{Deserialize, Deserializer};
 
 use crate::devices::playzerx::{self, PlayzerX};
 use crate::devices::port::Address;
@@ -20,8 +21,10 @@ use crate::devices::wall::{Layout, Mounted, Wall};
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Rows of mirrors; row 0 is the lowest.
+    #[serde(deserialize_with = "side")]
     pub rows: usize,
     /// Columns of mirrors; mirror index = row * columns + column.
+    #[serde(deserialize_with = "side")]
     pub columns: usize,
     /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
     /// calibration.
@@ -76,6 +79,14 @@ pub enum BoardConfig {
         /// The indices of its mirrors, in the order of the channels.
         mirrors: Vec<usize>,
     },
+}
+
+/// A number of rows or columns.
+fn side<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let found = i64::deserialize(deserializer)?;
+    let side = usize::try_from(found).ok().filter(|side| (1..=MAX_MIRRORS).contains(side));
+    let expected = format!("a whole number from 1 to {MAX_MIRRORS}");
+    side.ok_or_else(|| D::Error::invalid_value(Unexpected::Signed(found), &expected.as_str()))
 }
 
 fn park_after_ms() -> u32 {
@@ -156,6 +167,10 @@ impl BoardConfig {
                     min_deg < max_deg,
                     "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected min_deg below max_deg, for example -30 and 30"
                 );
+                ensure!(
+                    *min_deg >= -90.0 && *max_deg <= 90.0,
+                    "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected angles from -90 to 90"
+                );
                 for (key, value) in [
                     ("slew_deg_per_s", slew_deg_per_s),
                     ("settling_ms", settling_ms),
@@ -166,6 +181,11 @@ impl BoardConfig {
                         "{at}: invalid {key} {value}: expected 0 or more; 0 states that it is unknown"
                     );
                 }
+                ensure!(
+                    *resolution_deg <= max_deg - min_deg,
+                    "{at}: invalid resolution_deg {resolution_deg}: expected at most {}, the range from min_deg to max_deg",
+                    max_deg - min_deg
+                );
                 let radians = |degrees: &f64| degrees.to_radians() as f32;
                 let axis = AxisLimits {
                     min_rad: radians(min_deg),
@@ -259,6 +279,12 @@ mod tests {
             problem("calibration_reserve_deg = 1.0", "calibration_reserve_deg = -1.0").contains("expected 0 or more")
         );
         assert!(problem("max_deg = 30.0", "max_deg = nan").contains("expected min_deg below"));
+        for (from, to) in [("min_deg = -20.0", "min_deg = -400.0"), ("max_deg = 30.0", "max_deg = 1e6")] {
+            let beyond = problem(from, to);
+            assert!(beyond.contains("127.0.0.1:9000: min_deg = ") && beyond.contains("from -90 to 90"), "{beyond}");
+        }
+        let coarse = problem("max_deg = 30.0", "max_deg = 30.0\nresolution_deg = 100.0");
+        assert!(coarse.contains("127.0.0.1:9000: invalid resolution_deg 100: expected at most 50"), "{coarse}");
         for key in ["slew_deg_per_s", "settling_ms", "resolution_deg"] {
             for value in ["-1.0", "nan", "inf"] {
                 let refused = problem("max_deg = 30.0", &format!("max_deg = 30.0\n{key} = {value}"));
@@ -277,6 +303,11 @@ mod tests {
             |from: &str, to: &str| from_toml::<Config>(&TWO_BOARDS.replace(from, to)).expect_err("refused").to_string();
         let range = of("range_deg = 5.0", "range_deg = \"five\"");
         assert_eq!(range, "line 8: boards.0.range_deg: invalid type: string \"five\", expected a number");
+        for (rows, found) in [("-1", "`-1`"), ("0", "`0`"), ("16385", "`16385`")] {
+            let rows = of("rows = 1", &format!("rows = {rows}"));
+            let expected = format!("rows: invalid value: integer {found}, expected a whole number from 1 to 16384");
+            assert_eq!(rows.split_once(": ").map(|(_, rest)| rest), Some(expected.as_str()), "{rows}");
+        }
         let missing = of("max_deg = 30.0", "");
         // Boards of another kind have no such key.
         assert_eq!(missing, "line 5: boards: missing field `max_deg`");

@@ -17,6 +17,7 @@ use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{END_UNSETTLED, END_WAIT_NS, advice};
 use heliostat_array::watch::Watch;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
+use heliostat_proto::Stamp;
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
@@ -120,7 +121,8 @@ impl<D: Device> ArrayDriver<D> {
         let source = source_id::random();
         let mut claim = Claim::begin(&bus, array..array + 1, source)?;
         let clock = Clock::start_in(Duration::ZERO);
-        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns)?;
+        let capabilities = kit.capabilities(Stamp::default());
+        let (record, latch_at_start) = settings.record.open(bus.room(), array, &capabilities, clock.now().room_ns)?;
         let (plan, store) = record.split();
         // Every role may publish under the key of the stop, only operators under that of the re-arm.
         kit.refuse_unnamed_rearm(settings.bus.is_authenticated());

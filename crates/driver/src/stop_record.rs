@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
-use heliostat_proto::{Nanos, Room, StopName};
+use heliostat_proto::{Capabilities, Nanos, Room, StopName};
 use heliostat_service::log_limit::EventLimit;
 use heliostat_service::whole_file::{self, Held, InUse};
 use thiserror::Error;
@@ -44,16 +44,23 @@ impl StopRecordSettings {
         Self { directory: given.or_else(|| stop_record::default_folder(variable)), start_armed }
     }
 
-    /// Opens the record of the array of a room with this index; returns the latch with which the array
-    /// starts.
+    /// Opens the record of the array of a room with this index and device; returns the latch with which
+    /// the array starts.
     ///
     /// # Errors
     /// [`RecordInUse`]: two processes would lose each other's stops.
-    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> Result<(StopRecord, Latch), RecordInUse> {
+    pub fn open(
+        &self,
+        room: &Room,
+        array: usize,
+        capabilities: &Capabilities,
+        now_ns: Nanos,
+    ) -> Result<(StopRecord, Latch), RecordInUse> {
         let Some(directory) = &self.directory else {
             return Ok(StopRecord::without_store("no folder for it is given (--state DIR)", now_ns));
         };
-        let file = StopFile::hold(directory, &stop_record::file_name(room, array))?;
+        let device = stop_record::device_of(capabilities);
+        let file = StopFile::hold(directory, &stop_record::file_name(room, array), device)?;
         Ok(StopRecord::open(file, self.start_armed, now_ns))
     }
 }
@@ -62,13 +69,15 @@ impl StopRecordSettings {
 #[derive(Debug)]
 pub struct StopFile {
     path: PathBuf,
+    /// The device whose stops it keeps.
+    device: String,
     /// Absent where the folder takes no lock.
     held: Option<Held>,
 }
 
 impl StopFile {
     /// Keeps the file from other processes. The first write waits for no reader of a pipe.
-    fn hold(directory: &Path, name: &str) -> Result<Self, RecordInUse> {
+    fn hold(directory: &Path, name: &str, device: String) -> Result<Self, RecordInUse> {
         let path = directory.join(name);
         let held = fs::create_dir_all(directory).map_err(anyhow::Error::from).and_then(|()| whole_file::hold(&path));
         let held = match held {
@@ -86,7 +95,7 @@ impl StopFile {
             // Of a folder the first write reports the problem.
             let _ = fs::remove_file(&new);
         }
-        Ok(Self { path, held })
+        Ok(Self { path, device, held })
     }
 
     /// What keeps the file from other processes, for an owner that ends before a write that hangs.
@@ -98,6 +107,10 @@ impl StopFile {
 impl StopStore for StopFile {
     fn name(&self) -> String {
         self.path.display().to_string()
+    }
+
+    fn device(&self) -> &str {
+        &self.device
     }
 
     fn read(&mut self) -> Result<Option<String>, String> {

@@ -43,12 +43,16 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, TomlError> {
 
 impl TomlError {
     fn new(text: &str, error: &toml::de::Error) -> Self {
-        let message = in_words(error.message()).replace('\n', "; ");
+        let mut message = in_words(error.message()).replace('\n', "; ");
         let line_at = |place: usize| Some(line_of(text, place));
         let span = error.span();
         let Ok(document) = DeTable::parse(text) else {
             let line = span.and_then(|span| line_at(span.start));
             let written = line.and_then(|line| text.lines().nth(line - 1));
+            // The parser asks for quotation marks around the value that is not there.
+            if written.is_some_and(|written| without_comment(written).ends_with('=')) {
+                message = "expected a value after `=`".to_owned();
+            }
             let written = written.map(|written| format!("`{}`: ", visible(written))).unwrap_or_default();
             return Self { line, place: None, key: None, message: format!("{written}{message}{EXAMPLE}") };
         };
@@ -198,6 +202,11 @@ pub fn entry_at(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usiz
     })
 }
 
+/// A line without its comment. A sign of number within a text counts as one too.
+fn without_comment(line: &str) -> &str {
+    line.split('#').next().unwrap_or_default().trim()
+}
+
 /// The beginning of a line. What is neither a letter nor of ASCII is escaped: an editor writes quotation marks and spaces
 /// that look like those of TOML.
 fn visible(line: &str) -> String {
@@ -316,6 +325,8 @@ mod tests {
             ("rows = 1\n[axis]\n", "line 2: axis: missing field `gain`"),
             ("boards = []", "missing field `rows`"),
             ("rows = 1\ncolumns 3", "line 2: `columns 3`: "),
+            ("rows = \ncolumns = 3", "line 1: `rows =`: expected a value after `=`; expected TOML, for example"),
+            ("columns = 3\nrows = # of mirrors", "line 2: `rows = # of mirrors`: expected a value after `=`"),
         ] {
             let found = refusal(text);
             assert!(found.starts_with(expected), "{found}");

@@ -13,6 +13,7 @@ use tracing::field::Field;
 use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
+use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
 
 use crate::printable::{printable, printable_lines};
@@ -91,15 +92,30 @@ impl LogArgs {
 
 /// The filter that the value of RUST_LOG selects, and why the value is not used.
 fn filter_of(value: Option<&str>) -> (EnvFilter, Option<String>) {
-    let usual = || EnvFilter::new(DEFAULT_FILTER);
-    match value.map(EnvFilter::try_new) {
-        None => (usual(), None),
-        Some(Ok(filter)) => (filter, None),
-        Some(Err(error)) => {
+    let Some(value) = value else { return (EnvFilter::new(DEFAULT_FILTER), None) };
+    let read = match unknown_word(value) {
+        Some(word) => Err(format!("\"{word}\" is no level, and no target of this project")),
+        None => EnvFilter::try_new(value).map_err(|error| error.to_string()),
+    };
+    match read {
+        Ok(filter) => (filter, None),
+        Err(problem) => {
             let expected = "expected levels and targets, for example info or warn,heliostat_bus=debug";
-            (usual(), Some(format!("the variable RUST_LOG is not used: {error}; {expected}")))
+            let problem = format!("the variable RUST_LOG is not used: {problem}; {expected}");
+            (EnvFilter::new(DEFAULT_FILTER), Some(problem))
         }
     }
+}
+
+/// The first word that is neither a level nor the beginning of a target, as a level with a wrong letter: as the target that
+/// the filter takes it for, it would select nothing and leave out all the rest. Other targets have a level, as `hyper=info`.
+fn unknown_word(value: &str) -> Option<&str> {
+    let is_known = |word: &str| {
+        word.contains(['=', '[', ']', '{', '}'])
+            || word.parse::<LevelFilter>().is_ok()
+            || ["heliostat", "zenoh"].iter().any(|name| word.starts_with(name))
+    };
+    value.split(',').map(str::trim).find(|word| !is_known(word))
 }
 
 /// Writes a field of an event or a span as text.
@@ -151,8 +167,14 @@ mod tests {
 
     #[test]
     fn a_filter_that_cannot_be_read_is_named_and_not_used() {
-        for value in [None, Some("info"), Some("warn,heliostat_bus=debug")] {
-            assert_eq!(filter_of(value).1, None, "{value:?}");
+        for value in ["info", "WARN", "off", "", "warn,heliostat_bus=debug", "error,heliostat_bus", "hyper=info"] {
+            assert_eq!(filter_of(Some(value)).1, None, "{value:?}");
+        }
+        assert_eq!(filter_of(None).1, None);
+        for value in ["verbos", "heliostat=info,verbos"] {
+            let (filter, problem) = filter_of(Some(value));
+            assert_eq!((filter.to_string(), value), (usual_filter(), value));
+            assert!(problem.expect("refused").contains("\"verbos\" is no level"), "{value}");
         }
         let (filter, problem) = filter_of(Some("heliostat=loud"));
         assert_eq!(filter.to_string(), usual_filter());

@@ -17,6 +17,7 @@ BELIEF_COLUMNS: list[str]
 BUILTIN_SCENARIOS: list[str]
 INSTANTS: int
 KINDS: dict[str, int]
+MIRRORS_MAX: int
 STOP_RECORD_MAX: int
 STOP_RECORD_END_WAIT_NS: int
 ARRAYS_MAX: int

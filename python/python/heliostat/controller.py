@@ -165,7 +165,7 @@ def _keywords_for_flags() -> Iterator[None]:
         yield
     except PeerError as problem:
         flags = r"--(listen|connect|client|tls|insecure|room)\b(?: (DIR|(?:tcp|tls)/[\w.:]+))?"
-        raise PeerError(re.sub(flags, _keyword, str(problem))) from problem.__cause__
+        raise type(problem)(re.sub(flags, _keyword, str(problem))) from problem.__cause__
 
 
 class _Tokens:

@@ -41,6 +41,7 @@ from ._claim import Claim
 from ._core import (
     ARRAYS_MAX,
     KINDS,
+    MIRRORS_MAX,
     STOP_RECORD_END_WAIT_NS,
     Station,
     check_capabilities,
@@ -50,7 +51,7 @@ from ._core import (
 )
 from ._stop_file import StopFile
 from ._watched import LastProblem, Watched
-from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
+from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, end_for, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
 _EVENTS_MAX = 100
@@ -124,8 +125,8 @@ class Capabilities:
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
-            "rows": integer("rows", self.rows, 1, U32_MAX),
-            "columns": integer("columns", self.columns, 1, U32_MAX),
+            "rows": integer("rows", self.rows, 1, MIRRORS_MAX),
+            "columns": integer("columns", self.columns, 1, MIRRORS_MAX),
             "park_after_ms": integer("park_after_ms", self.park_after_ms, 0, U32_MAX),
             "roll_rad": _limits("roll_rad", self.roll_rad),
             "yaw_rad": _limits("yaw_rad", self.yaw_rad),
@@ -244,7 +245,7 @@ def main(device: Device, given: argparse.Namespace) -> None:
     Where a method of the device does not return, the first signal names it. A second signal ends the driver at once,
     unless the method waits in C code.
 
-    The process exits with status 1 and the reason where the driver cannot run.
+    The process exits with the reason where the driver cannot run: with status 2 for settings that cannot be used, else 1.
     """
     try:
         counters = run(
@@ -256,7 +257,7 @@ def main(device: Device, given: argparse.Namespace) -> None:
             seconds=given.seconds,
         )
     except (PeerError, ValueError) as problem:
-        sys.exit(f"error: {problem}")
+        end_for(problem)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     print(f"commands accepted: {counters['accepted']}")
@@ -279,6 +280,8 @@ def run(
     where the room cannot be joined or another process has the array, and `ValueError` for capabilities that the
     contract does not allow.
     """
+    if not isinstance(given := getattr(device, "capabilities", None), Capabilities):
+        raise ValueError(f"{type(device).__name__}.capabilities = {given!r}: expected Capabilities, set before it runs")
     begin_ns = time.monotonic_ns()
 
     def now() -> tuple[int, int]:

@@ -56,6 +56,7 @@ _MODE, _TORQUE, _ERROR, _VELOCITY, _GOAL, _POSITION, _VOLTAGE, _TEMPERATURE = 11
 _STATE_LENGTH = _TEMPERATURE + 1 - _POSITION
 _POSITION_CONTROL = 3
 _VELOCITY_STEP_RAD_S = 0.229 * 2 * math.pi / 60
+_SPEED_MAX_RAD_S = 30.0
 _PROTOCOL = 2.0
 _RETRY_NS = 1_000_000_000
 _ATTEMPTS = 3
@@ -91,8 +92,11 @@ class Dynamixel(Device):
             raise ValueError(f"{len(servos)} servos: expected two for each of {rows} x {columns} mirrors")
         if len(set(servos)) < len(servos) or not all(0 <= one <= ID_MAX for one in servos):
             raise ValueError(f"servos {list(servos)}: expected different identifiers from 0 to {ID_MAX}")
-        if not 0 < range_rad <= math.pi / 2 or not _VELOCITY_STEP_RAD_S <= speed_rad_s <= 30:
-            raise ValueError(f"range {range_rad} rad, speed {speed_rad_s} rad/s: expected 0 to pi/2, and 0.024 to 30")
+        if not 0 < range_rad <= math.pi / 2:
+            raise ValueError(f"range of {math.degrees(range_rad):g} degrees: expected more than 0 and at most 90")
+        if not _VELOCITY_STEP_RAD_S <= speed_rad_s <= _SPEED_MAX_RAD_S:
+            least, most = math.degrees(_VELOCITY_STEP_RAD_S), math.degrees(_SPEED_MAX_RAD_S)
+            raise ValueError(f"speed of {math.degrees(speed_rad_s):g} degrees/s: expected {least:.4g} to {most:.4g}")
         self.capabilities = Capabilities(
             "Dynamixel X servos",
             rows,

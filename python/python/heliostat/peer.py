@@ -23,10 +23,11 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 from ._checks import integer
 from ._core import ARRAYS_MAX, KINDS, __version__, encode, keys
+from ._program import USAGE
 from ._signals import stop_on_signals as stop_on_signals
 
 try:
@@ -67,6 +68,21 @@ _BLOCKING = ("stop", "stop_repetition", "rearm", "calibration")
 
 class PeerError(Exception):
     """A setting that is refused, or a room that the process cannot join; the text has the reason."""
+
+    status = 1
+    """The exit status of a program that ends for it, as of the Rust programs."""
+
+
+class SettingsError(PeerError):
+    """A setting that is refused: room, endpoints or keys."""
+
+    status = USAGE
+
+
+def end_for(problem: PeerError | ValueError) -> NoReturn:
+    """Ends a program with the reason in one line."""
+    print(f"error: {problem}", file=sys.stderr)
+    sys.exit(problem.status if isinstance(problem, PeerError) else 1)
 
 
 @dataclass(frozen=True)
@@ -146,7 +162,7 @@ class Peer:
         try:
             self.keys = keys(room, node, self.source, integer("array", array, 0, ARRAYS_MAX - 1))
         except (TypeError, ValueError) as problem:
-            raise PeerError(str(problem)) from problem
+            raise SettingsError(str(problem)) from problem
         self._started_ns = time.time_ns()
         self._process = os.getpid()
         self._sequences: dict[str, int] = {}
@@ -368,7 +384,7 @@ def _configuration(settings: Settings, role: str) -> tuple[zenoh.Config, str]:
     if settings.tls is not None:
         config, of_keys = _secured(settings.tls, role)
         if settings.room not in (None, of_keys):
-            raise PeerError(f'room "{settings.room}": expected "{of_keys}", the room of the keys in {settings.tls}')
+            raise SettingsError(f'room "{settings.room}": expected "{of_keys}", the room of the keys in {settings.tls}')
         room = of_keys
     own = {
         "mode": "client" if settings.client else "peer",
@@ -381,7 +397,7 @@ def _configuration(settings: Settings, role: str) -> tuple[zenoh.Config, str]:
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as problem:
-            raise PeerError(f"setting {key} = {value}: {problem}") from problem
+            raise SettingsError(f"setting {key} = {value}: {problem}") from problem
     return config, room
 
 
@@ -390,12 +406,12 @@ def _secured(folder: Path, role: str) -> tuple[zenoh.Config, str]:
     private_key = folder / f"{role}.key"
     try:
         if private_key.stat().st_mode & stat.S_IRWXO:
-            raise PeerError(
+            raise SettingsError(
                 f"{private_key}: every user of this machine can read or change this private key; expected chmod 600 or 640"
             )
         config = zenoh.Config.from_file(folder / f"zenoh-{role}.json5")
     except (OSError, zenoh.ZError) as problem:
-        raise PeerError(
+        raise SettingsError(
             f'{folder}: {problem}; expected the keys of role "{role}", made by heliostat keys init or keys issue'
         ) from problem
     certificate = f"{role}.pem"
@@ -419,15 +435,15 @@ def _check_certificate(path: Path, private_key: Path) -> None:
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(path, private_key, password="")
         begin, end = _validity(ssl.PEM_cert_to_DER_cert(path.read_text()))
     except (OSError, ValueError, IndexError) as problem:
-        raise PeerError(
+        raise SettingsError(
             f"{path}: {problem}; expected a certificate of heliostat keys in PEM format, with its private key "
             f"{private_key.name} beside it: copy both from the same folder, or issue them again with heliostat keys issue"
         ) from problem
     now = datetime.now(timezone.utc)
     if now > end:
-        raise PeerError(f"{path}: the certificate expired on {end:%Y-%m-%d}; renew it with heliostat keys renew")
+        raise SettingsError(f"{path}: the certificate expired on {end:%Y-%m-%d}; renew it with heliostat keys renew")
     if now < begin:
-        raise PeerError(f"{path}: the certificate is not valid yet; set the clock of this machine, or issue it again")
+        raise SettingsError(f"{path}: the certificate is not valid yet; set the clock of this machine, or issue it again")
 
 
 def _validity(certificate: bytes) -> tuple[datetime, datetime]:
@@ -456,24 +472,24 @@ def _validity(certificate: bytes) -> tuple[datetime, datetime]:
 def _check(settings: Settings) -> None:
     """Refuses endpoints that do not suit each other or the keys."""
     if settings.client and (settings.listen or not settings.connect):
-        raise PeerError("wrong endpoints for a client: expected no --listen, and the router in --connect")
+        raise SettingsError("wrong endpoints for a client: expected no --listen, and the router in --connect")
     if not (settings.listen or settings.connect):
-        raise PeerError("no endpoint: expected --listen or --connect, for example --connect tcp/127.0.0.1:7447")
+        raise SettingsError("no endpoint: expected --listen or --connect, for example --connect tcp/127.0.0.1:7447")
     for name, endpoints in (("listen", settings.listen), ("connect", settings.connect)):
         if not isinstance(endpoints, (tuple, list)) or not all(isinstance(one, str) for one in endpoints):
-            raise PeerError(f"{name} = {endpoints!r}: expected a tuple of endpoints tcp/HOST:PORT or tls/HOST:PORT")
+            raise SettingsError(f"{name} = {endpoints!r}: expected a tuple of endpoints tcp/HOST:PORT or tls/HOST:PORT")
     for endpoint in (*settings.listen, *settings.connect):
         protocol, _, address = endpoint.partition("/")
         port = address.rpartition(":")[2].partition("#")[0].partition("?")[0]
         if protocol == "unixsock-stream":
             continue
         if protocol not in ("tcp", *_ENCRYPTED) or not address.rpartition(":")[0] or not port.isdecimal():
-            raise PeerError(f'endpoint "{endpoint}": expected tcp/HOST:PORT or tls/HOST:PORT')
+            raise SettingsError(f'endpoint "{endpoint}": expected tcp/HOST:PORT or tls/HOST:PORT')
         if (protocol in _ENCRYPTED) != (settings.tls is not None):
             expected = "tls/HOST:PORT with --tls" if settings.tls else "--tls DIR with an endpoint tls/HOST:PORT"
-            raise PeerError(f'endpoint "{endpoint}": expected {expected}')
+            raise SettingsError(f'endpoint "{endpoint}": expected {expected}')
         if endpoint in settings.listen and not (settings.tls or settings.insecure or _is_local(address)):
-            raise PeerError(f'other machines reach "{endpoint}": expected --tls DIR, or --insecure')
+            raise SettingsError(f'other machines reach "{endpoint}": expected --tls DIR, or --insecure')
 
 
 def _is_local(address: str) -> bool:

@@ -23,7 +23,7 @@ from typing import Any
 
 from ._checks import U32_MAX, U64_MAX, finite, integer
 from ._core import Refused
-from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, stop_on_signals
+from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, end_for, stop_on_signals
 
 _STATUS_NS = 1_000_000_000
 
@@ -179,8 +179,8 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace, rate_hz: float = 20.0) -> None:
     """Reports `users_at(seconds since the start)` at a rate in Hz until Ctrl-C, SIGTERM or `--seconds`.
 
-    A report that is refused is left out, and its reason is printed. The process exits with status 1 and the reason
-    where the room cannot be joined.
+    A report that is refused is left out, and its reason is printed. The process exits with the reason where the
+    room cannot be joined: with status 2 for settings that cannot be used, else 1.
     """
     begin, turn, refused = time.monotonic(), 0, ""
     try:
@@ -195,7 +195,7 @@ def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace,
                 turn += 1
                 stop.wait(max(0.0, begin + turn / rate_hz - time.monotonic()))
     except PeerError as problem:
-        sys.exit(f"error: {problem}")
+        end_for(problem)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     print(f"reports sent: {tracker.ticks}")

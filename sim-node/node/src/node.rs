@@ -99,7 +99,9 @@ impl Node {
         let mut arrays = Vec::new();
         for array in 0..room.arrays() {
             let now = clock.now();
-            let opened = settings.record.as_ref().map(|record| record.open(&settings.bus.room, array, now.room_ns));
+            let capabilities = room.capabilities(array, Stamp::default());
+            let record = settings.record.as_ref();
+            let opened = record.map(|record| record.open(&settings.bus.room, array, &capabilities, now.room_ns));
             let record = opened.transpose()?.map(|(record, latch)| {
                 if let Some(advice) = stop_record::advice(&settings.bus.room, &latch) {
                     tracing::warn!("{advice}");

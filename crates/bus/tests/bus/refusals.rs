@@ -180,7 +180,10 @@ fn keys_that_cannot_all_be_written_leave_nothing_and_the_next_attempt_succeeds()
     // Without the key of the authority nothing can be issued.
     let machine = folder.path().join("machine");
     std::fs::remove_file(folder.path().join("ca.key")).expect("a file");
-    keys::issue(AccessRole::Driver, folder.path(), &machine, &terms).expect_err("refused");
+    let refused = keys::issue(AccessRole::Driver, folder.path(), &machine, &terms).expect_err("refused").to_string();
+    assert!(refused.contains("ca.key: expected the folder of the authority"), "{refused}");
+    let renewed = keys::renew(folder.path(), folder.path(), keys::end_after(1)).expect_err("refused").to_string();
+    assert!(renewed.contains("--dir AUTHORITY") && renewed.contains("--out DIR"), "{renewed}");
     assert!(!machine.exists(), "no empty folder");
 }
 

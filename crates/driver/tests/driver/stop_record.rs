@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_driver::stop_record::{StopRecord, StopRecordSettings};
-use heliostat_proto::Room;
+use heliostat_proto::{Capabilities, Room};
 
 const NOW_NS: u64 = 1_800_000_000_000_000_000;
 
@@ -13,8 +13,13 @@ fn settings(folder: &Path, start_armed: bool) -> StopRecordSettings {
     StopRecordSettings { directory: Some(folder.to_owned()), start_armed }
 }
 
+fn capabilities(rows: u32, columns: u32) -> Capabilities {
+    Capabilities { hardware: "servo board".into(), rows, columns, ..Capabilities::default() }
+}
+
 fn open(settings: &StopRecordSettings) -> (StopRecord, Option<LatchedStop>) {
-    let (record, latch) = settings.open(&Room::new("lab").unwrap(), 0, NOW_NS).expect("no other process");
+    let (record, latch) =
+        settings.open(&Room::new("lab").unwrap(), 0, &capabilities(2, 2), NOW_NS).expect("no other process");
     (record, latch.stop().cloned())
 }
 
@@ -47,11 +52,14 @@ fn a_record_is_of_one_process_until_it_ends() {
     let folder = tempfile::tempdir().unwrap();
     let settings = settings(folder.path(), true);
     let (mut record, _) = open(&settings);
-    let refusal = settings.open(&Room::new("lab").unwrap(), 0, NOW_NS).expect_err("in use").to_string();
+    let refusal =
+        settings.open(&Room::new("lab").unwrap(), 0, &capabilities(2, 2), NOW_NS).expect_err("in use").to_string();
     for part in ["another process uses the record", "lab.stop.toml", "stop that process", "--state DIR"] {
         assert!(refusal.contains(part), "{refusal}");
     }
-    settings.open(&Room::new("lab").unwrap(), 1, NOW_NS).expect("another array has its own record");
+    settings
+        .open(&Room::new("lab").unwrap(), 1, &capabilities(2, 2), NOW_NS)
+        .expect("another array has its own record");
     record.keep(&stop(), false).unwrap();
     drop(record);
     assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
@@ -82,8 +90,28 @@ fn a_stop_and_its_rearm_are_in_force_at_the_next_start() {
     assert_eq!(start_elsewhere(folder.path()).as_ref(), stop().stop());
     record.keep(&Latch::default(), false).unwrap();
     assert_eq!(start_elsewhere(folder.path()), None);
-    let (_, other) = settings(folder.path(), false).open(&Room::new("hall").unwrap(), 0, NOW_NS).unwrap();
+    let (_, other) =
+        settings(folder.path(), false).open(&Room::new("hall").unwrap(), 0, &capabilities(2, 2), NOW_NS).unwrap();
     assert!(other.stop().is_some(), "another room has its own record");
+}
+
+#[test]
+fn another_device_starts_stopped_and_a_record_without_device_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(next_start(folder.path()), None, "the release of a device with 2 x 2 mirrors is recorded");
+    let start = |of: &Capabilities| {
+        let opened = settings(folder.path(), true).open(&Room::new("lab").unwrap(), 0, of, NOW_NS);
+        opened.expect("no other process").1.stop().cloned()
+    };
+    let larger = start(&capabilities(4, 6)).expect("stopped");
+    let devices = "is of servo board, 2 x 2 mirrors, not of servo board, 4 x 6 mirrors";
+    assert!(larger.reason.ends_with(devices), "{}", larger.reason);
+    assert_eq!(start(&capabilities(4, 6)), Some(larger.clone()), "the stop is recorded");
+    assert_eq!(start(&capabilities(2, 2)), Some(larger), "the stops of any device stay in force");
+    fs::write(folder.path().join("lab.stop.toml"), Latch::default().to_toml()).unwrap();
+    assert_eq!(start(&capabilities(4, 6)), None, "a record without a device");
+    let other = Capabilities { hardware: "another board".into(), ..capabilities(4, 6) };
+    assert!(start(&other).is_some(), "the record has the device now");
 }
 
 #[test]

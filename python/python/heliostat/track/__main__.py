@@ -254,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return USAGE
     except PeerError as problem:
         print(f"error: {problem}", file=sys.stderr)
-        return 1
+        return problem.status
     found = ", ".join(f"{kind} {count}" for kind, count in sorted(ended.problems.items()))
     made = "made" if given.dry_run else "sent"
     print(f"reports {made}: {ended.reports}, poses: {ended.poses}" + (f", problems: {found}" if found else ""))

@@ -144,7 +144,10 @@ fn ask_drivers(
     let asked = if joined.is_some() { arrays } else { 0 };
     let ask = |array| match joined {
         Some(Ok((bus, _))) => ask_driver(args, bus, array),
-        Some(Err(error)) => Err(anyhow::anyhow!("{error:#}")),
+        // Its type decides about the advice.
+        Some(Err(error)) => Err(error
+            .downcast_ref::<BusError>()
+            .map_or_else(|| anyhow::anyhow!("{error:#}"), |error| error.clone().into())),
         None => Err(anyhow::anyhow!("no --connect")),
     };
     (0..asked).map(ask).collect()
@@ -211,6 +214,8 @@ fn check_driver(
 fn advice_without_driver(error: &anyhow::Error, is_refused: impl FnOnce() -> bool) -> &'static str {
     if error.is::<SeveralDrivers>() {
         "stop one of them: an array has one driver"
+    } else if error.downcast_ref::<BusError>().is_some_and(BusError::is_of_settings) {
+        "correct the flag that the message names (--connect, --listen, --room, --tls): nothing was asked yet"
     } else if is_refused() {
         "a process listens there: correct the address, the certificate or the rights that the message names"
     } else {
@@ -413,11 +418,15 @@ mod tests {
     }
 
     #[test]
-    fn where_two_drivers_answer_one_of_them_is_to_be_stopped() {
+    fn the_advice_without_a_driver_is_that_for_the_reason() {
         let several = anyhow::Error::from(SeveralDrivers { count: 2, room: "lab".into() });
         assert_eq!(several.to_string(), "2 drivers answer in room \"lab\"; expected one");
         assert!(advice_without_driver(&several, || true).starts_with("stop one of them"));
         assert!(advice_without_driver(&anyhow::anyhow!("no driver"), || false).starts_with("start the driver"));
+        let unencrypted = BusError::Unencrypted { endpoint: "tcp/127.0.0.1:7447".into() };
+        let asked = ask_drivers(&Flags::parse_from(["doctor"]).args, Some(&Err(unencrypted.into())), 1);
+        let error = asked[0].as_ref().err().expect("no session");
+        assert!(advice_without_driver(error, || false).starts_with("correct the flag that the message names"));
     }
 
     /// Mirrors of the default scenario that turn by 4 degrees.

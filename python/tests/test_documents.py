@@ -185,3 +185,12 @@ def test_each_public_name_has_a_docstring() -> None:
                     seen += 1
                     missing += [] if part.__doc__ else [f"{found.name}.{path}"]
     assert seen > 40 and not missing, missing
+
+
+def test_the_guide_of_drivers_names_the_flags_that_a_driver_in_python_does_not_have() -> None:
+    driver = pytest.importorskip("heliostat.driver")
+    guide = (DOCS / "drivers.md").read_text(encoding="utf-8")
+    assert "It has neither [`--metrics-listen` nor `--log-format`]" in guide
+    flags = driver.parser().format_help()
+    assert "--state" in flags
+    assert "--metrics-listen" not in flags and "--log-format" not in flags

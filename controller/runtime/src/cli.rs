@@ -127,8 +127,14 @@ impl Args {
         let config = self.node_config()?;
         let log = self.log.start();
         let stop = self.end.stop()?;
-        let machine = self.machine.obtain();
-        machine.iter().for_each(|granted| tracing::info!("{granted}"));
+        let obtained = self.machine.obtain();
+        for result in &obtained {
+            match result {
+                Ok(granted) => tracing::info!("{granted}"),
+                Err(refused) => tracing::warn!("{refused}"),
+            }
+        }
+        let machine = obtained.into_iter().map(|result| result.unwrap_or_else(|refused| refused)).collect();
         Ok(Prepared { config, stop, json: self.json, machine, _log: log })
     }
 }

@@ -19,19 +19,19 @@ pub struct MachineArgs {
 }
 
 impl MachineArgs {
-    /// Makes each request, and returns the result of each in words.
+    /// Makes each request, and returns the result of each in words, as an error where it is not granted.
     ///
     /// Processors and priority apply to the calling thread and to all threads that it starts later:
     /// call this first.
-    pub fn obtain(&self) -> Vec<String> {
+    pub fn obtain(&self) -> Vec<Result<String, String>> {
         let requests = [
             self.lock_memory.then(|| ("memory locked in RAM".to_string(), system::lock_memory())),
             (!self.pin.is_empty()).then(|| (format!("on processors {:?} only", self.pin), system::pin(&self.pin))),
             self.realtime.map(|priority| (format!("SCHED_FIFO, priority {priority}"), system::realtime(priority))),
         ];
         let describe = |(what, granted): (String, Result<(), String>)| match granted {
-            Ok(()) => format!("granted: {what}"),
-            Err(problem) => format!("not granted, continuing without: {what}: {problem}"),
+            Ok(()) => Ok(format!("granted: {what}")),
+            Err(problem) => Err(format!("not granted, continuing without: {what}: {problem}")),
         };
         requests.into_iter().flatten().map(describe).collect()
     }
@@ -100,9 +100,7 @@ mod tests {
     fn a_missing_processor_is_reported_and_the_controller_continues() {
         let requests = MachineArgs { pin: vec![1 << 20], ..MachineArgs::default() };
         let results = requests.obtain();
-        assert!(
-            results.len() == 1 && results[0].starts_with("not granted, continuing without: on processors"),
-            "{results:?}"
-        );
+        let [Err(refused)] = &results[..] else { panic!("{results:?}") };
+        assert!(refused.starts_with("not granted, continuing without: on processors"), "{refused}");
     }
 }

@@ -79,9 +79,9 @@ impl Certificate {
         AccessRole::parse_common_name(&self.common_name)
     }
 
-    /// Complete days until it expires; negative after that.
+    /// Days until it expires, to the nearest; negative after that.
     pub fn days_left(&self) -> i64 {
-        (self.validity_s.1 - unix_s(SystemTime::now())).div_euclid(SECONDS_A_DAY)
+        (self.validity_s.1 - unix_s(SystemTime::now()) + SECONDS_A_DAY / 2).div_euclid(SECONDS_A_DAY)
     }
 
     /// Whether it becomes valid later.

@@ -45,7 +45,7 @@ use player::Player;
 /// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be read or lacks a required stream; a policy that cannot
 /// be built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
-    let plan = Plan::read(&settings.file).with_context(|| unusable(&settings.file))?;
+    let plan = Plan::read(&settings.file, settings.policy.is_some()).with_context(|| unusable(&settings.file))?;
     let mut reading = open(&settings.file)?;
     let mut player = Player::new(settings, plan)?;
     while let Some(entry) = reading.entry()? {

@@ -8,6 +8,8 @@ use crate::expiry::EXPIRY;
 
 /// The note about one controller that sees no other process of its room.
 pub(crate) const OTHERS_MISSING: &str = "a controller is alone, without array, tracker and other controller: check the link to their host or router, and start them again if they have ended or hang";
+/// The note about a room whose controller has seen another one, and sees none.
+pub(crate) const STANDBY_MISSING: &str = "the standby has gone: the end of the one controller parks the mirrors; start the standby again, or restart the controller where one is enough";
 /// Beginning of the note about commands that reach no driver.
 pub(crate) const NO_DRIVER: &str = NodeStatus::NO_DRIVER;
 /// Beginning of the note about absent position reports, of a viewer that stays open.
@@ -42,7 +44,9 @@ fn causes(cause: &str, text: &str) -> bool {
     let silent = state.and_then(silent_arrays);
     let begins_with = |starts: &[&str]| starts.iter().any(|start| text.starts_with(start));
     if cause.starts_with(OTHERS_MISSING) {
-        return silent.is_some() || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS]);
+        return silent.is_some()
+            || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS])
+            || [STANDBY_MISSING, ALL_STAND_BY, UNKNOWN_LEADER].contains(&text);
     }
     if let Some(which) = cause.strip_prefix(NO_DRIVER) {
         let absent = which.strip_prefix(" to ").and_then(|which| which.split_once(": ")).map(|(names, _)| names);
@@ -268,6 +272,15 @@ mod tests {
         assert_eq!(folded(vec![reports, of_viewer.clone()]), [format!("{of_viewer}, {NO_REPORTS}")]);
         assert_eq!(not_in(std::slice::from_ref(&line), &[of_viewer]), [""; 0], "the same note");
         assert_eq!(not_in(&[driver, "another".to_owned()], &[line]), ["another"], "it is not over");
+    }
+
+    #[test]
+    fn on_the_cut_off_side_the_missing_standby_and_leader_follow_from_the_cut_link() {
+        for leader in [ALL_STAND_BY, UNKNOWN_LEADER] {
+            let problems = [STANDBY_MISSING, leader, OTHERS_MISSING].map(str::to_owned).to_vec();
+            let line = format!("{OTHERS_MISSING}; it causes: the standby has gone, no controller leads");
+            assert_eq!(folded(problems), [line]);
+        }
     }
 
     #[test]

@@ -10,7 +10,9 @@ use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
-use crate::causes::{AND, NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
+use crate::causes::{
+    AND, NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, STANDBY_MISSING, TWO_DRIVERS, causes_first,
+};
 use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
@@ -146,8 +148,6 @@ pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";
 const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
-/// The note about a room whose controller has seen another one, and sees none.
-const STANDBY_MISSING: &str = "the standby has gone: the end of the one controller parks the mirrors; start the standby again, or restart the controller where one is enough";
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.

@@ -1,4 +1,4 @@
-//! Replays of a recording in which a controller used another scenario than the recorder.
+//! Replays of a recording in which a controller used another scenario than the recorder, or has no status.
 
 use std::path::Path;
 
@@ -42,6 +42,23 @@ fn a_visitor_with_another_scenario_leaves_the_commands_of_the_others_replayable(
     let left_out = &verdict["left_out"][0];
     assert_eq!(left_out["controller"], format!("{VISITOR:016x}"), "{verdict}");
     assert_eq!(left_out["commands"].as_u64(), Some(120), "{verdict}");
+}
+
+#[test]
+fn the_commands_of_a_takeover_whose_status_the_file_lacks_leave_the_others_replayable() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("cut.mcap");
+    copy(&golden_recording(), &file, |_, payload| {
+        let further = codec::decode::<MirrorCommand>(&payload).ok().map(|mut command| {
+            command.epoch += 1;
+            command.roll.fill(0.0);
+            encoded(&command)
+        });
+        [Some(payload), further].into_iter().flatten()
+    });
+    let verdict = verify(&file).wait().json();
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(120), Some(0)), "{verdict}");
+    assert_eq!(verdict["without_policy"].as_u64(), Some(120), "{verdict}");
 }
 
 #[test]

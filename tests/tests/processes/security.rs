@@ -315,7 +315,7 @@ fn keys_are_made_issued_renewed_and_listed() {
     let certificate = Certificate::read(&file).expect("a certificate");
     assert_eq!(certificate.hosts, ["localhost", "127.0.0.1", "::1", "camera.lab"]);
     assert!((29..=30).contains(&certificate.days_left()), "{renewed}");
-    // The complete days that are left fall by one within a second.
+    // The days that are left fall by one within a second.
     let lasting = |mut listed: Value| {
         listed["certificates"][0]["days_left"].take();
         listed

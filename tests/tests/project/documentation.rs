@@ -351,8 +351,7 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
             // The array of studio is simulated.
             let (program, words): (&str, &[&str]) = match unit {
                 "driver" if room == "studio" => continue,
-                "driver" => ("heliostat-driver", &["--help"]),
-                "page" | "recorder" => ("heliostat", &["--help"]),
+                "driver" | "page" | "recorder" => ("heliostat", &["--help"]),
                 _ => ("heliostat", &[]),
             };
             let config: &[&str] = match unit {

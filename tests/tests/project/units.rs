@@ -58,6 +58,33 @@ fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
     }
 }
 
+/// An archive of a release has `heliostat` and the two programs that it packs with it.
+#[test]
+fn each_unit_starts_a_program_of_the_archive_a_router_or_a_program_of_the_operator() {
+    let read = |file: &str| fs::read_to_string(workspace().join(file)).expect("a file of deploy/");
+    let build = read("deploy/release/build");
+    let (_, packed) = build.split_once("\n    for program in ").expect("the build packs programs");
+    let packed: Vec<&str> = packed.split(';').next().unwrap_or_default().split_whitespace().collect();
+    for entry in fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten() {
+        let text = fs::read_to_string(entry.path()).expect("a unit");
+        let start = text.lines().find_map(|line| line.strip_prefix("ExecStart=/usr/local/bin/")).expect("a program");
+        let program = start.split(' ').next().unwrap_or_default();
+        let is_known = packed.contains(&program) || ["zenohd", "heliostat-tracker-%i"].contains(&program);
+        assert!(is_known, "{}: the archive has {packed:?}, and no {program}", entry.path().display());
+    }
+}
+
+#[test]
+fn the_drop_in_of_a_driver_in_python_replaces_the_program_and_keeps_the_record_of_the_unit() {
+    let guide = fs::read_to_string(workspace().join("docs/deploy.md")).expect("a guide");
+    let (_, drop_in) = guide.split_once("\nExecStart=\nExecStart=").expect("the guide has the drop-in");
+    let start = drop_in.lines().next().unwrap_or_default();
+    let unit = fs::read_to_string(workspace().join("deploy/systemd/heliostat-driver@.service")).expect("a unit");
+    for words in [" --room %i ", " --state %S/heliostat-driver/%i ", " $HELIOSTAT_DRIVER_BUS"] {
+        assert!(start.contains(words) && unit.contains(words), "{words}: {start}");
+    }
+}
+
 #[test]
 fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
     let unit = fs::read_to_string(workspace().join("deploy/systemd/heliostat-page@.service")).expect("a unit");

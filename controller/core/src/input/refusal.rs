@@ -253,9 +253,14 @@ impl Refused {
         Stream::ALL.into_iter().flat_map(move |stream| {
             Refusal::ALL.into_iter().filter_map(move |refusal| {
                 let count = self.get(stream, refusal);
-                (count > 0).then(|| (format!("{}:{}", stream.name(), refusal.name()), count))
+                (count > 0).then(|| (Self::name_of(stream, refusal), count))
             })
         })
+    }
+
+    /// The name of a counter: "stream:reason".
+    pub fn name_of(stream: Stream, refusal: Refusal) -> String {
+        format!("{}:{}", stream.name(), refusal.name())
     }
 }
 

@@ -1,10 +1,19 @@
 //! The controller's metrics, made by the status loop.
 
-use heliostat_core::{core::Stage, tenure::TenureEvent};
+use std::collections::BTreeMap;
+
+use heliostat_core::{
+    core::{DegradedMode, Stage},
+    refusal::{Refusal, Refused, Stream},
+    tenure::TenureEvent,
+};
 use heliostat_proto::{NodeStatus, gauges::ServedLight, messages::fault};
 use heliostat_service::{Histogram, Page};
 
-use super::{stage_times::StageTimes, summary::RoomReport};
+use super::{
+    stage_times::StageTimes,
+    summary::{RoomReport, Summary},
+};
 
 /// The page of all rooms.
 pub fn page(rooms: &[RoomReport<'_>]) -> Page {
@@ -85,37 +94,11 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         page.flag(name, help, &[], is_set);
     }
     add_times(page, report.times);
-    for (name, help, label, counts) in [
-        ("heliostat_fallbacks", NodeStatus::FALLBACKS_MEANING, "cause", &summary.fallbacks),
-        ("heliostat_withheld", NodeStatus::WITHHELD_MEANING, "cause", &summary.withheld),
-        (
-            "heliostat_users_limited",
-            "Users without a measured gain or beyond the policy's capacity, one for each decision",
-            "reason",
-            &summary.users,
-        ),
-        (
-            "heliostat_reports_missed",
-            "Reports that did not arrive, by the gaps in their sequence numbers",
-            "stream",
-            &summary.missed,
-        ),
-    ] {
-        for (of, count) in counts {
-            page.counter(name, help, &[(label, of.as_str())], *count);
-        }
+    for (stream, count) in &summary.missed {
+        let help = "Reports that did not arrive, by the gaps in their sequence numbers";
+        page.counter("heliostat_reports_missed", help, &[("stream", stream.as_str())], *count);
     }
-    for (name, count) in &summary.refused {
-        let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
-        let labels = [("stream", stream), ("reason", reason)];
-        page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
-    }
-    // Each from 0: the increase of a counter that begins at its first event does not show that event.
-    for event in TenureEvent::ALL.map(TenureEvent::name) {
-        let count = summary.epoch_events.get(event).copied().unwrap_or_default();
-        let help = "Changes of the epoch or of the standby, by kind";
-        page.counter("heliostat_epoch_events", help, &[("event", event)], count);
-    }
+    add_counts_from_0(page, summary);
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
         let help = "Axis angles changed by a limit of range or slew rate";
         page.counter("heliostat_angles_limited", help, &[("by", by)], count);
@@ -160,6 +143,34 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     }
 }
 
+/// Adds each count by cause, also one of 0: the increase of a counter that begins at its first event lacks that event.
+fn add_counts_from_0(page: &mut Page, summary: &Summary) {
+    let count_of = |counts: &BTreeMap<String, u64>, name: &str| counts.get(name).copied().unwrap_or_default();
+    for mode in DegradedMode::ALL.map(DegradedMode::name) {
+        let (name, help, counts) = match NodeStatus::WITHHELD.contains(&mode) {
+            true => ("heliostat_withheld", NodeStatus::WITHHELD_MEANING, &summary.withheld),
+            false => ("heliostat_fallbacks", NodeStatus::FALLBACKS_MEANING, &summary.fallbacks),
+        };
+        page.counter(name, help, &[("cause", mode)], count_of(counts, mode));
+    }
+    for reason in Summary::USERS {
+        let help = "Users without a measured gain or beyond the policy's capacity, one for each decision";
+        page.counter("heliostat_users_limited", help, &[("reason", reason)], count_of(&summary.users, reason));
+    }
+    let refusals =
+        Stream::ALL.into_iter().flat_map(|stream| Refusal::ALL.map(|refusal| Refused::name_of(stream, refusal)));
+    for name in refusals.chain([Summary::FOREIGN_ARRAY.to_owned()]) {
+        let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
+        let labels = [("stream", stream), ("reason", reason)];
+        let count = count_of(&summary.refused, &name);
+        page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, count);
+    }
+    for event in TenureEvent::ALL.map(TenureEvent::name) {
+        let help = "Changes of the epoch or of the standby, by kind";
+        page.counter("heliostat_epoch_events", help, &[("event", event)], count_of(&summary.epoch_events, event));
+    }
+}
+
 fn add_times(page: &mut Page, times: &StageTimes) {
     let help = "From the arrival of a position report to the end of the command's publication";
     page.histogram("heliostat_decision_seconds", help, &[], Histogram::of_ns(times.decision()));
@@ -175,12 +186,9 @@ fn add_times(page: &mut Page, times: &StageTimes) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use heliostat_proto::Room;
 
     use super::super::stage_times::PolicyTimes;
-    use super::super::summary::Summary;
     use super::*;
 
     /// The page of the room "demo".
@@ -204,6 +212,26 @@ mod tests {
             "heliostat_withheld_total{room=\"demo\",cause=\"standby\"} 3",
         ];
         assert_eq!(lines, expected);
+    }
+
+    #[test]
+    fn each_cause_of_a_fallback_and_each_reason_of_a_refusal_is_counted_from_0() {
+        let text = page_of(&Summary::default());
+        for line in [
+            "heliostat_fallbacks_total{room=\"demo\",cause=\"late\"} 0\n",
+            "heliostat_withheld_total{room=\"demo\",cause=\"standby\"} 0\n",
+            "heliostat_users_limited_total{room=\"demo\",reason=\"unserved\"} 0\n",
+            "heliostat_refused_total{room=\"demo\",stream=\"users\",reason=\"stale\"} 0\n",
+            "heliostat_refused_total{room=\"demo\",stream=\"array\",reason=\"foreign-source\"} 0\n",
+        ] {
+            assert!(text.contains(line), "{line}{text}");
+        }
+        let refused = BTreeMap::from([("users:stale".to_owned(), 4)]);
+        let text = page_of(&Summary { refused, ..Summary::default() });
+        assert!(
+            text.contains("heliostat_refused_total{room=\"demo\",stream=\"users\",reason=\"stale\"} 4\n"),
+            "{text}"
+        );
     }
 
     #[test]

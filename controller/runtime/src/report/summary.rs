@@ -226,12 +226,18 @@ impl BeliefSummary {
 }
 
 impl Summary {
+    /// The counter of capabilities and safety reports of an array that is not followed, as "stream:reason".
+    pub const FOREIGN_ARRAY: &'static str = "array:foreign-source";
+    /// The counters of users.
+    pub const USERS: [&'static str; 3] = ["left-out", "unmeasured", "unserved"];
+
     /// The counters of the core; [`Summary::add_times`] adds the times.
     pub fn of(controller: &Controller) -> Self {
         let counters = controller.counters();
         let arrays = 0..controller.arrays();
         let is_any_fit = arrays.clone().any(|array| controller.unfit_of(array).is_none());
-        let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
+        let foreign = (Self::FOREIGN_ARRAY.to_string(), counters.foreign_arrays);
+        let users = [controller.inbox().refused().left_out(), counters.unmeasured_users, counters.unserved_users];
         let refused = controller.inbox().refused().named().chain([foreign]);
         let degraded = DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)));
         let (withheld, fallbacks): (Vec<_>, Vec<_>) =
@@ -252,11 +258,7 @@ impl Summary {
             withheld: nonzero(withheld),
             modelled: counters.modelled,
             refused: nonzero(refused),
-            users: nonzero([
-                ("left-out", controller.inbox().refused().left_out()),
-                ("unmeasured", counters.unmeasured_users),
-                ("unserved", counters.unserved_users),
-            ]),
+            users: nonzero(Self::USERS.into_iter().zip(users)),
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).is_standing_by()),
             peers: controller.tenure(0).peers().len() as u64,

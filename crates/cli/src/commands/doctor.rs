@@ -2,6 +2,7 @@
 
 mod args;
 mod calibration;
+mod certificate;
 mod check;
 mod controller;
 mod geometry;
@@ -19,6 +20,7 @@ use heliostat_service::outln;
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let mut checks = system::checks(&args);
+    checks.extend(certificate::check(&args));
     checks.extend(machine::checks());
     let count = |verdict| checks.iter().filter(|check| check.verdict == verdict).count();
     let (warnings, failures) = (count(Verdict::Warn), count(Verdict::Fail));

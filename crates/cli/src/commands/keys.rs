@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use heliostat_bus::{AccessRole, BuildingRouter, Certificate, Protocol, RoomEndpoint, keys};
+use heliostat_bus::{AccessRole, BuildingRouter, BusError, Certificate, Protocol, RoomEndpoint, keys};
 use heliostat_proto::Room;
 use serde_json::{Value, json};
 
@@ -132,6 +132,23 @@ impl TermsArgs {
     }
 }
 
+/// As many days before the end of a certificate, `heliostat doctor` and `heliostat status` name it, and the alerts fire.
+const ENDS_SOON_DAYS: i64 = 14;
+
+/// The certificate of a folder that ends first, in words, and whether that is soon.
+///
+/// # Errors
+/// A file that cannot be read or is no certificate.
+pub fn first_end(folder: &Path) -> Result<Option<(String, bool)>, BusError> {
+    let certificates = keys::list(folder)?;
+    let first = certificates.iter().min_by_key(|(_, certificate)| certificate.days_left());
+    Ok(first.map(|(role, certificate)| {
+        let (days, expires, folder) = (certificate.days_left(), &certificate.expires, folder.display());
+        let found = format!("that of the {role} in {folder} ends first: on {expires}, days left {days}");
+        (found, days <= ENDS_SOON_DAYS)
+    }))
+}
+
 /// Runs the subcommand.
 pub fn run(args: Args) -> Result<()> {
     let (folder, json) = match args.action {
@@ -233,6 +250,7 @@ mod tests {
             let folder = tempfile::tempdir().expect("a folder");
             keys::init(&room, folder.path(), &terms).expect("an empty folder");
             for (role, certificate) in keys::list(folder.path()).expect("certificates") {
+                assert_eq!(certificate.days_left(), 9, "as it was asked for");
                 let stated = format!("not valid before {}", certificate.valid_from);
                 let row = row(role, &certificate);
                 assert_eq!(row.contains(&stated), is_later, "{row}");

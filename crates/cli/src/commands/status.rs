@@ -11,6 +11,7 @@ use heliostat_ui::View;
 use heliostat_ui::status::RoomStatus;
 
 use super::join::join;
+use super::keys::first_end;
 
 /// Each process publishes its status once a second. A problem is present where its count rises between two.
 const OBSERVED: Duration = Duration::from_millis(2300);
@@ -43,7 +44,10 @@ pub fn run(args: Args) -> Result<()> {
     let bus = join(&config, OBSERVED).map_err(|unconnected| anyhow!(unconnected.with_advice(advice)))?;
     let view = View::open(&bus, None)?;
     thread::sleep(OBSERVED);
-    let status = RoomStatus::new(config.room.name(), &view);
+    let mut status = RoomStatus::new(config.room.name(), &view);
+    let first_end = args.bus.tls.tls.as_ref().and_then(|folder| first_end(folder).ok().flatten());
+    let ends_soon = first_end.and_then(|(certificate, is_soon)| is_soon.then_some(certificate));
+    status.figures.remarks.extend(ends_soon.map(|certificate| format!("certificate: {certificate}; renew it")));
     if args.json {
         outln!("{}", serde_json::to_string(&status)?)?;
     } else {

@@ -3,7 +3,7 @@
 use std::process::Command;
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, keys, private_endpoint};
 use heliostat_proto::{NodeKind, Room, RoomGeometry, encode};
 use heliostat_scenario::Scenario;
 use heliostat_service::Stop;
@@ -39,6 +39,19 @@ fn the_file_of_a_policy_is_named() {
     assert!(text(&default, "found").starts_with("fixed-point fits the scenario (default"), "{default}");
     let built_in = policy(&["--policy", "ddpg"]);
     assert!(text(&built_in, "found").starts_with("ddpg fits the scenario, engine "), "{built_in}");
+}
+
+#[test]
+fn the_certificate_that_ends_first_has_a_line_and_is_a_warning_in_its_last_days() {
+    let room = Room::new("studio").expect("a valid name");
+    for (days, verdict) in [(5, "warn"), (90, "ok")] {
+        let folder = tempfile::tempdir().expect("a folder");
+        keys::init(&room, folder.path(), &keys::Terms::of_days(days, &[])).expect("new keys");
+        let certificate = check("certificate", &["--tls", folder.path().to_str().expect("a plain path")]);
+        assert_eq!(text(&certificate, "verdict"), verdict, "{certificate}");
+        assert!(text(&certificate, "found").ends_with(&format!("days left {days}")), "{certificate}");
+        assert_eq!(text(&certificate, "advice").contains("heliostat keys renew"), verdict == "warn", "{certificate}");
+    }
 }
 
 #[test]

@@ -99,6 +99,8 @@ pub(super) struct Plan {
     other_scenarios: BTreeMap<u64, String>,
     /// The commands that are not replayed, by the source of their controller.
     pub left_out: BTreeMap<u64, LeftOut>,
+    /// The commands that are not replayed since no status names their policy, by epoch.
+    pub unnamed: BTreeMap<u64, u64>,
     pub account: Account,
 }
 
@@ -115,11 +117,11 @@ struct ControllerHistory {
 }
 
 impl Plan {
-    /// Reads a recording from its beginning to its end.
+    /// Reads a recording from its beginning to its end, for a replay by the recorded policies, or by a given one.
     ///
     /// # Errors
     /// A recording that cannot be read, or cannot be replayed under any policy.
-    pub fn read(file: &Path) -> Result<Self> {
+    pub fn read(file: &Path, is_policy_given: bool) -> Result<Self> {
         let mut reading = open(file)?;
         let header = reading.header().clone();
         let hash = Scenario::hash_of(&header.scenario);
@@ -164,6 +166,9 @@ impl Plan {
         plan.schedules = schedules.build();
         plan.clock = clock.ok_or_else(|| no_report(&unreadable, reading.account().is_none()))?;
         plan.leave_out_other_scenarios(&hash)?;
+        if !is_policy_given {
+            plan.leave_out_unnamed();
+        }
         ensure!(
             !plan.epochs.is_empty(),
             "it holds no command: no controller was in the room, or the recorder was not connected to it"
@@ -182,6 +187,7 @@ impl Plan {
             controllers: BTreeMap::new(),
             other_scenarios: BTreeMap::new(),
             left_out: BTreeMap::new(),
+            unnamed: BTreeMap::new(),
             account: Account::default(),
         }
     }
@@ -203,7 +209,7 @@ impl Plan {
     fn leave_out_other_scenarios(&mut self, hash: &str) -> Result<()> {
         let others = self.epochs.keys().filter_map(|&epoch| Some((epoch, self.with_other_scenario(epoch)?)));
         for (epoch, source) in others.collect::<Vec<_>>() {
-            let commands = self.answers.values().flatten().filter(|answer| answer.epoch == epoch).count() as u64;
+            let commands = self.commands_of(epoch);
             let scenario = self.other_scenarios.get(&source).cloned().unwrap_or_default();
             let left_out = LeftOut { controller: format!("{source:016x}"), scenario, commands: 0 };
             self.left_out.entry(source).or_insert(left_out).commands += commands;
@@ -217,10 +223,34 @@ impl Plan {
                 used.collect::<Vec<_>>().join(", ")
             );
         }
+        self.keep_answers_of_epochs();
+        Ok(())
+    }
+
+    /// Leaves out the epochs whose policy no status names, as at the end of a file just after a takeover. Where
+    /// this would leave no epoch, all stay, and [`Plan::policy_of`] has the error.
+    fn leave_out_unnamed(&mut self) {
+        let (named, unnamed): (Vec<u64>, Vec<u64>) =
+            self.epochs.keys().partition(|&epoch| self.controllers.contains_key(epoch));
+        if named.is_empty() {
+            return;
+        }
+        for epoch in unnamed {
+            self.unnamed.insert(epoch, self.commands_of(epoch));
+            self.epochs.remove(&epoch);
+        }
+        self.keep_answers_of_epochs();
+    }
+
+    /// Number of the recorded decisions of an epoch.
+    fn commands_of(&self, epoch: u64) -> u64 {
+        self.answers.values().flatten().filter(|answer| answer.epoch == epoch).count() as u64
+    }
+
+    fn keep_answers_of_epochs(&mut self) {
         for answers in self.answers.values_mut() {
             answers.retain(|answer| self.epochs.contains_key(&answer.epoch));
         }
-        Ok(())
     }
 
     /// The source of the controller of an epoch, if it used another scenario than the recorded one.
@@ -236,7 +266,7 @@ impl Plan {
 
     /// Whether the commands of an epoch are not replayed.
     pub fn leaves_out(&self, epoch: u64) -> bool {
-        self.with_other_scenario(epoch).is_some()
+        self.with_other_scenario(epoch).is_some() || self.unnamed.contains_key(&epoch)
     }
 
     /// Adds the status of a controller; `hash` is that of the recorded scenario.
@@ -367,6 +397,21 @@ mod tests {
         assert_eq!(live.answers.values().map(VecDeque::len).sum::<usize>(), 1);
         let of_second_array = VISITOR + 2 * EPOCH_SLOTS;
         assert!(live.leaves_out(of_second_array) && !live.leaves_out(OWN + EPOCH_SLOTS));
+    }
+
+    #[test]
+    fn an_epoch_whose_policy_no_status_names_is_left_out_unless_it_is_the_only_one() {
+        let unnamed = OWN + 1;
+        let mut live = plan(Clock::Live, &[OWN, unnamed]);
+        live.leave_out_unnamed();
+        assert_eq!(live.epochs.keys().collect::<Vec<_>>(), [&OWN]);
+        assert_eq!(live.unnamed, BTreeMap::from([(unnamed, 1)]));
+        assert_eq!(live.answers.values().map(VecDeque::len).sum::<usize>(), 1);
+        assert!(live.leaves_out(unnamed) && !live.leaves_out(OWN));
+        let mut only = plan(Clock::Live, &[unnamed]);
+        only.leave_out_unnamed();
+        assert!(only.unnamed.is_empty() && only.epochs.contains_key(&unnamed));
+        assert!(only.policy_of(unnamed).is_err());
     }
 
     #[test]

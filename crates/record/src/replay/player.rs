@@ -462,6 +462,7 @@ impl<'a> Player<'a> {
             first_difference: verdict.first_difference,
             unrestored: self.unrestored,
             left_out: self.plan.left_out.into_values().collect(),
+            without_policy: self.plan.unnamed.into_values().sum(),
         }
     }
 }

@@ -55,6 +55,8 @@ pub struct Verdict {
     pub unrestored: Option<String>,
     /// The controllers whose commands were not decided again.
     pub left_out: Vec<LeftOut>,
+    /// Commands that were not decided again, since no status in the recording names their policy.
+    pub without_policy: u64,
 }
 
 /// A controller that used another scenario than the recording holds.
@@ -219,6 +221,13 @@ impl fmt::Display for Verdict {
                 "\nleft out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
             )
         })?;
+        if self.without_policy > 0 {
+            write!(
+                formatter,
+                "\nnot counted: {} commands of a controller whose policy the recording does not name, as where it ends just after a takeover; --policy NAME compares them",
+                self.without_policy
+            )?;
+        }
         write!(formatter, "\n{}", self.account)?;
         if !self.complete {
             write!(

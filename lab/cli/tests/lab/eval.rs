@@ -208,11 +208,18 @@ fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
             assert!(found["ci95"].as_f64() > Some(0.0), "{name} {difference}: {found}");
         }
     }
+    let of_oracle = |figure: &str| compared["oracle"][figure]["mean"].as_f64().expect("a figure of the oracle");
+    for (difference, figure) in [("difference_mbps", "sum_rate_mbps"), ("difference_outage_time", "outage_time")] {
+        let loss = of_oracle(figure) - mean(&compared, first, figure);
+        assert!((of_oracle(difference) - loss).abs() < 1e-9, "the loss of the first policy, {difference}: {compared}");
+    }
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
     let [_, differences] = table.split("difference to greedy+none, paired").collect::<Vec<_>>()[..] else {
         panic!("no differences in {table}")
     };
     assert!(differences.contains("greedy+filter") && differences.contains(" +0."), "{table}");
+    let of_oracle = differences.lines().nth(2).expect("the row of the oracle");
+    assert!(of_oracle.starts_with("(oracle) ") && of_oracle.contains(" +"), "{table}");
     assert!(differences.lines().nth(1).is_some_and(|heads| heads.ends_with("QoS met          outage")), "{table}");
 }
 

@@ -130,10 +130,10 @@ fn print_outages(report: &Report) -> io::Result<()> {
     outln!("share of time: mean share of users below the minimum rate, at the states of the table above")
 }
 
-/// Prints the paired differences of the policies from the first one, if there are several.
+/// Prints the paired differences of the oracle and the policies from the first one, if there are several.
 fn print_differences(report: &Report) -> io::Result<()> {
     let differences: Vec<Difference> = Difference::all(report).collect();
-    let [(first, _), others @ ..] = &report.policies[..] else { return Ok(()) };
+    let Some((first, _)) = report.policies.first() else { return Ok(()) };
     if differences.is_empty() {
         return Ok(());
     }
@@ -141,7 +141,7 @@ fn print_differences(report: &Report) -> io::Result<()> {
     let width = name_width(report);
     let headings: Vec<String> = differences.iter().map(|one| format!("{:>15}", one.heading)).collect();
     outln!("{:<width$} {}", "", headings.join(" "))?;
-    for (name, row) in others {
+    for (name, row) in rows(report).filter(|(name, _)| name != first) {
         let cells: Vec<String> =
             differences.iter().map(|one| format!("{:>15}", difference((one.of)(row), one))).collect();
         outln!("{name:<width$} {}", cells.join(" "))?;

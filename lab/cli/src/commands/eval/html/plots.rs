@@ -68,11 +68,11 @@ pub fn by_policy(report: &Report) -> Result<String> {
     Ok(plots)
 }
 
-/// The figures of each further policy minus those of the first; nothing for a single policy.
+/// The figures of the oracle and of each further policy minus those of the first; nothing for a single policy.
 fn differences(report: &Report) -> Result<String> {
     let mut plots = String::new();
     for Difference { figure, of, .. } in Difference::all(report) {
-        let dots = report.policies.iter().filter_map(|(name, row)| {
+        let dots = rows(report).filter_map(|(name, row)| {
             let spread = of(row)?;
             let [low, high] = spread.ends();
             Some(Dot { name, at: spread.mean, low, high })

@@ -9,6 +9,7 @@ mod notes;
 mod origin;
 mod output;
 mod paths;
+mod point_tables;
 mod sweep;
 
 use std::convert::Infallible;

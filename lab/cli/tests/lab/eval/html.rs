@@ -90,7 +90,9 @@ fn a_report_of_a_sweep_has_curves_and_a_table_for_each_value() {
     assert!(table.contains("<tr><th>1</th><td>-</td><td>-</td><td>-</td></tr>"), "{table}");
     assert!(table.contains("<tr><th>2</th><td>+"), "{table}");
     let words = report(&[&flags[..], &["receiver.combining=best,equal-gain"]].concat());
-    assert_eq!(plots(&words), 2 * alone, "words have no place on an axis");
+    assert_eq!(plots(&words), 2 * alone + 3, "words are categories");
+    let over = words.split("<h2>Over ").nth(1).and_then(|rest| rest.split("<h3>").next()).expect("the plots");
+    assert!(over.contains("best") && over.contains("equal-gain"), "{over}");
 }
 
 #[test]

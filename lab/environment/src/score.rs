@@ -105,6 +105,20 @@ impl Figure {
     /// Closed loop: share of the users' time below their minimum rate.
     pub const OUTAGE_TIME: Self = Self { name: "outage_time", of: |own, _| 1.0 - own.met, bounds: SHARE };
 
+    /// All figures.
+    const ALL: [Self; 7] =
+        [Self::SUM_RATE, Self::RATIO, Self::QOS_MET, Self::JAIN, Self::BLOCKED_RATE, Self::BER, Self::OUTAGE_TIME];
+
+    /// The figure with this name in JSON and in CSV files.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|figure| figure.name == name)
+    }
+
+    /// An estimate of the figure, with the bounds that the figure has.
+    pub fn bounded(self, estimate: Spread) -> Spread {
+        estimate.within(self.bounds.0, self.bounds.1)
+    }
+
     /// The figure in each state of each group of a run, beside the oracle on the same states.
     pub fn values(self, run: &[Vec<Sample>], oracle: &[Vec<Sample>]) -> Vec<Vec<f64>> {
         let of_group = |(own, best): (&Vec<Sample>, &Vec<Sample>)| -> Vec<f64> {
@@ -122,7 +136,7 @@ impl Figure {
     /// Mean with interval over the runs of a policy, one for each actor, beside the oracle on the same states.
     pub fn spread(self, runs: &[&[Vec<Sample>]], oracle: &[Vec<Sample>]) -> Spread {
         let values: Vec<_> = runs.iter().map(|run| self.values(run, oracle)).collect();
-        Spread::of(&values).within(self.bounds.0, self.bounds.1)
+        self.bounded(Spread::of(&values))
     }
 }
 

@@ -46,6 +46,9 @@ pub struct Axis {
     /// if absent, as for rates, shares and times.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub bounds: Option<[f64; 2]>,
+    /// The categories in place of numbers, the first one at 1; none on an axis of numbers.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub names: Vec<String>,
 }
 
 impl Axis {
@@ -62,7 +65,19 @@ impl Axis {
 
     /// A logarithmic axis over a range.
     pub fn log(label: &str, range: [f64; 2]) -> Self {
-        Self { label: label.into(), log: true, range: Some(range), bounds: None }
+        Self { label: label.into(), log: true, range: Some(range), ..Self::default() }
+    }
+
+    /// An axis of categories, the first one at 1.
+    pub fn categories(label: &str, names: Vec<String>) -> Self {
+        Self { range: Some([0.5, names.len() as f64 + 0.5]), names, ..Self::linear(label) }
+    }
+
+    /// The category at a position; none beside them, and on an axis of numbers.
+    pub fn category(&self, position: f64) -> Option<&str> {
+        let nearest = position.round();
+        let is_one = nearest >= 1.0 && (position - nearest).abs() < 1e-6;
+        self.names.get((nearest as usize).wrapping_sub(1)).filter(|_| is_one).map(String::as_str)
     }
 }
 
@@ -190,6 +205,14 @@ impl Figure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_category_is_at_its_number_and_has_half_a_step_on_each_side() {
+        let axis = Axis::categories("combining", ["best", "equal-gain"].map(String::from).into());
+        let found = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0].map(|position| axis.category(position));
+        assert_eq!((found, axis.range), ([None, None, Some("best"), None, Some("equal-gain"), None], Some([0.5, 2.5])));
+        assert_eq!(Axis::linear("users").category(1.0), None);
+    }
 
     #[test]
     fn panels_are_found_by_their_complete_title() {

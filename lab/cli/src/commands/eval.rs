@@ -9,6 +9,7 @@ mod notes;
 mod origin;
 mod output;
 mod paths;
+mod point_tables;
 mod sweep;
 
 use std::convert::Infallible;
@@ -128,8 +129,8 @@ pub struct Args {
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
     /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or
-    /// table.key=A,B,C; given twice, for each combination of two keys. mirrors.rows=0 is a room without
-    /// mirrors
+    /// table.key=A,B,C; given twice, for each combination of two keys. A value may be a list, as in
+    /// `led.positions_m=[[0,0,3]],[[1,0,3],[-1,0,3]]`. mirrors.rows=0 is a room without mirrors
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Vec<Sweep>,
     /// Threads that evaluate at the same time; the figures are the same for any number, decision times excepted: those

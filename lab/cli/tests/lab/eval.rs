@@ -1,5 +1,6 @@
 //! `heliostat-lab eval` on the command line.
 
+mod differences;
 mod html;
 #[cfg(target_os = "linux")]
 mod interrupted;
@@ -186,34 +187,6 @@ fn episodes_of_a_recorded_walk_see_different_parts_of_it() {
     let part = |part: &str| rate[part].as_f64().expect("a rate");
     assert!(part("ci95") > 0.05 * part("mean") && part("p5") < 0.95 * part("mean"), "{rate}");
     assert_eq!(first, without_times(report(&flags)), "the same seed sees the same parts");
-}
-
-#[test]
-fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
-    let loop_flags = ["--closed-loop", "--scenario", "hall", "--states", "60", "--seeds", "1"];
-    let flags = [&loop_flags[..], &["--policies", "greedy,flat", "--beliefs", "none,filter"]].concat();
-    let compared = report(&flags);
-    let first = "greedy+none";
-    assert!(compared["policies"][first].get("difference_ratio").is_none());
-    for name in ["greedy+filter", "flat"] {
-        for (difference, figure) in [
-            ("difference_ratio", "ratio_to_oracle"),
-            ("difference_qos_met", "qos_met"),
-            ("difference_mbps", "sum_rate_mbps"),
-            ("difference_outage_time", "outage_time"),
-        ] {
-            let expected = mean(&compared, name, figure) - mean(&compared, first, figure);
-            let found = &compared["policies"][name][difference];
-            assert!((found["mean"].as_f64().expect("a mean") - expected).abs() < 1e-9, "{name} {difference}: {found}");
-            assert!(found["ci95"].as_f64() > Some(0.0), "{name} {difference}: {found}");
-        }
-    }
-    let table = String::from_utf8(eval(&flags).stdout).expect("text");
-    let [_, differences] = table.split("difference to greedy+none, paired").collect::<Vec<_>>()[..] else {
-        panic!("no differences in {table}")
-    };
-    assert!(differences.contains("greedy+filter") && differences.contains(" +0."), "{table}");
-    assert!(differences.lines().nth(1).is_some_and(|heads| heads.ends_with("QoS met          outage")), "{table}");
 }
 
 /// Two names of one actor have equal rates.

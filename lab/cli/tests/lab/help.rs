@@ -17,13 +17,14 @@ fn every_command_has_a_help_text() {
 }
 
 #[test]
-fn a_help_text_states_what_a_flag_requires() {
+fn a_help_text_states_what_a_flag_requires_and_accepts() {
     let words = |command: &[&str]| {
         let help = String::from_utf8(lab(command).stdout).expect("text");
         help.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let help = words(&["eval", "--help"]);
     assert!(help.contains("to the first measured instant of an episode, at least 0.01"), "{help}");
+    assert!(help.contains("A value may be a list, as in `led.positions_m=[[0,0,3]],[[1,0,3],[-1,0,3]]`"), "{help}");
     let help = words(&["trace", "import", "--help"]);
     assert!(help.contains(&format!("[default: {DEFAULT_SCENARIO}; the report says so]")), "{help}");
 }

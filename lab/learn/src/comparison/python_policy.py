@@ -55,11 +55,21 @@ def answer(status, content):
 shown = set()
 
 
+def from_user(trace):
+    """The part of a traceback that begins in the file of the function; None where this program raised."""
+    while trace is not None and trace.tb_frame.f_code.co_filename.startswith(("<string>", "<frozen importlib")):
+        trace = trace.tb_next
+    return trace
+
+
 def reason(problem):
-    """The text for heliostat-lab; the first time, standard error has the lines that led there."""
+    """The text for heliostat-lab; the first time, standard error has the lines of the user's file that led there."""
     if str(problem) not in shown and len(shown) < SHOWN_MAX:
         shown.add(str(problem))
-        traceback.print_exception(type(problem), problem, problem.__traceback__)
+        trace = from_user(problem.__traceback__)
+        # A SyntaxError names its line without a traceback.
+        if trace is not None or isinstance(problem, SyntaxError):
+            traceback.print_exception(type(problem), problem, trace)
     text = f"{type(problem).__name__}: {problem}".removesuffix(": ")
     if isinstance(problem, ImportError):
         text += f"; the interpreter is {sys.executable}: install what is missing there, or name another one in {variable}"

@@ -25,26 +25,36 @@ pub struct Times {
 /// Rows of the oracle and of each policy.
 pub(super) type Rows = (Row, Vec<Row>);
 
-/// The rows of a comparison; the first policy is the one that the others are subtracted from.
+/// The rows of a comparison; the first policy is the one that the oracle and the others are subtracted from.
 pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>]) -> Rows {
-    let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| {
-        let minus_first = |figure: Figure| {
-            let values = |runs: &[Run]| values(runs, oracle, figure);
-            (index > 0).then(|| bounded(figure.name, difference(&values(own), &values(&runs[0]))))
+    let minus_first = |row: Row, own: &[&[Vec<Sample>]]| {
+        let of = |figure: Figure| {
+            let own: Vec<_> = own.iter().map(|run| figure.values(run, oracle)).collect();
+            Some(bounded(figure.name, difference(&own, &values(&runs[0], oracle, figure))))
         };
         Row {
-            difference_mbps: minus_first(Figure::SUM_RATE),
-            difference_ratio: minus_first(Figure::RATIO),
-            difference_qos_met: minus_first(Figure::QOS_MET),
-            difference_outage_time: (settings.mode == Loop::ClosedLoop)
-                .then(|| minus_first(Figure::OUTAGE_TIME))
-                .flatten(),
-            ..Row::new(own, oracle, (evaluated, settings.mode))
+            difference_mbps: of(Figure::SUM_RATE),
+            difference_ratio: of(Figure::RATIO),
+            difference_qos_met: of(Figure::QOS_MET),
+            difference_outage_time: (settings.mode == Loop::ClosedLoop).then(|| of(Figure::OUTAGE_TIME)).flatten(),
+            ..row
         }
+    };
+    let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| {
+        let row = Row::new(own, oracle, (evaluated, settings.mode));
+        if index == 0 { row } else { minus_first(row, &groups(own)) }
     });
     let mut of_policies: Vec<Row> = of_policies.collect();
     subtract_best(settings, runs, oracle, &mut of_policies);
-    (Row::of_oracle(oracle, settings.mode), of_policies)
+    let of_oracle = Row::of_oracle(oracle, settings.mode);
+    // A single policy has no table of differences.
+    let of_oracle = if runs.len() > 1 { minus_first(of_oracle, &[oracle]) } else { of_oracle };
+    (of_oracle, of_policies)
+}
+
+/// The samples of each run.
+fn groups(runs: &[Run]) -> Vec<&[Vec<Sample>]> {
+    runs.iter().map(|run| run.groups.as_slice()).collect()
 }
 
 /// Sets the difference to the policy with the largest ratio. A policy that knows the true room is not compared.
@@ -99,7 +109,7 @@ pub struct Row {
     /// Sum rate in Mbit/s.
     pub sum_rate_mbps: Spread,
     /// Sum rate minus that of the first policy in Mbit/s, state by state; `None` for the first
-    /// policy and for the oracle.
+    /// policy, and for the oracle beside a single policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference_mbps: Option<Spread>,
     /// Ratio to the oracle minus that of the first policy, state by state.
@@ -145,7 +155,6 @@ impl Row {
     /// The results of a policy's runs, one for each training seed, relative to the oracle's on
     /// the same states.
     pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (evaluated, mode): (&EvaluatedPolicy, Loop)) -> Self {
-        let samples: Vec<&[Vec<Sample>]> = runs.iter().map(|run| run.groups.as_slice()).collect();
         let mut decisions_us: Vec<f64> = runs.iter().flat_map(|run| &run.decisions_us).copied().collect();
         decisions_us.sort_by(f64::total_cmp);
         let times = Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) };
@@ -153,7 +162,7 @@ impl Row {
             outages: Outages::of(runs.iter().flat_map(|run| &run.outages)),
             decision_us: (!decisions_us.is_empty()).then_some(times),
             training_seeds: evaluated.is_learned().then_some(runs.len()),
-            ..Self::of_samples(&samples, oracle, mode)
+            ..Self::of_samples(&groups(runs), oracle, mode)
         }
     }
 

@@ -137,7 +137,12 @@ fn draw_panel(area: &Area, figure: &Figure, panel: &Panel, ranges: &Ranges) -> R
             }
         }
     };
-    let (x_label, y_label) = (label(&figure.x, ranges.x), label(&figure.y, ranges.y));
+    let (x_number, y_label) = (label(&figure.x, ranges.x), label(&figure.y, ranges.y));
+    let has_categories = !figure.x.names.is_empty();
+    let x_label = |value: &f64| match has_categories {
+        true => figure.x.category(*value).unwrap_or_default().to_owned(),
+        false => x_number(value),
+    };
     let ticks = |range: [f64; 2], log: bool| if log { (range[1] - range[0]).round() as usize + 1 } else { 7 };
     let mut mesh = chart.configure_mesh();
     mesh.x_desc(&figure.x.label)
@@ -145,7 +150,7 @@ fn draw_panel(area: &Area, figure: &Figure, panel: &Panel, ranges: &Ranges) -> R
         .label_style(("sans-serif", 12))
         .light_line_style(TRANSPARENT)
         .bold_line_style(RGBColor(225, 225, 225))
-        .x_labels(ticks(ranges.x, figure.x.log))
+        .x_labels(if has_categories { figure.x.names.len() } else { ticks(ranges.x, figure.x.log) })
         .y_labels(ticks(ranges.y, figure.y.log))
         .x_label_formatter(&x_label)
         .y_label_formatter(&y_label);
@@ -164,7 +169,12 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     let [red, green, blue] = look.rgb;
     let colour = RGBColor(red, green, blue);
     let at = |x: f64, y: f64| (place(&figure.x, x), place(&figure.y, y));
-    if series.points.iter().any(|point| point.ci95.is_some()) {
+    let has_categories = !figure.x.names.is_empty();
+    if has_categories {
+        let measured = series.points.iter().filter(|point| point.ci95.is_some());
+        let intervals = measured.map(|point| ends(&figure.y, point).map(|end| at(point.x, end)));
+        chart.draw_series(intervals.map(|ends| PathElement::new(ends, colour.mix(0.35).stroke_width(7))))?;
+    } else if series.points.iter().any(|point| point.ci95.is_some()) {
         let upper = series.points.iter().map(|point| at(point.x, ends(&figure.y, point)[1]));
         let lower = series.points.iter().rev().map(|point| at(point.x, ends(&figure.y, point)[0]));
         chart.draw_series([Polygon::new(upper.chain(lower).collect::<Vec<_>>(), colour.mix(0.18).filled())])?;
@@ -175,15 +185,16 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     let path: Vec<_> = shown.map(|point| at(point.x, point.y)).collect();
     if look.points_only {
         chart.draw_series(path.iter().map(|point| Cross::new(*point, 5, colour.stroke_width(2))))?;
-    } else if let Some([on, off]) = look.dashes {
+    } else if let Some([on, off]) = look.dashes.filter(|_| !has_categories) {
         chart.draw_series([DashedPathElement::new(path.clone(), on, off, colour.stroke_width(2))])?;
-    } else {
+    } else if !has_categories {
+        // Nothing lies between two categories.
         chart.draw_series([PathElement::new(path.clone(), colour.stroke_width(2))])?;
     }
     let measured = series.points.iter().filter_map(|point| Some((point, point.x_ci95?)));
     let across = measured.map(|(point, half)| vec![at(point.x - half, point.y), at(point.x + half, point.y)]);
     chart.draw_series(across.map(|ends| PathElement::new(ends, colour.mix(0.35).stroke_width(7))))?;
-    if path.len() <= 12 && !look.points_only {
+    if (has_categories || path.len() <= 12) && !look.points_only {
         let plane = chart.plotting_area();
         path.iter().try_for_each(|point| draw_marker(plane, *point, look.marker, colour))?;
     }
@@ -320,6 +331,23 @@ mod tests {
             draw(&figure).expect("a figure").matches("<polygon").count()
         };
         assert_eq!(["filter", "constant-velocity"].map(triangles), [0, 3]);
+    }
+
+    #[test]
+    fn categories_have_their_names_and_points_without_a_curve() {
+        let drawn = |x: Axis| {
+            let point = Point { x: 1.0, y: 0.9, ci95: Some(0.05), x_ci95: None };
+            let points = vec![point, Point { x: 2.0, ..point }];
+            let panels = vec![Panel { series: vec![Series { name: "flat".into(), points }], ..Panel::default() }];
+            draw(&Figure { x, y: Axis::linear("ratio"), panels, ..Figure::default() }).expect("a figure")
+        };
+        let categories = drawn(Axis::categories("combining", ["best", "equal-gain"].map(String::from).into()));
+        let numbers = drawn(Axis::linear("combining"));
+        let named = |text: &str| ["best", "equal-gain"].map(|name| text.matches(name).count());
+        assert_eq!((named(&categories), named(&numbers)), ([1, 1], [0, 0]), "{categories}");
+        // The band of the intervals is a polygon.
+        let bands = [&categories, &numbers].map(|text| text.contains("<polygon"));
+        assert_eq!(bands, [false, true], "{categories}");
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub struct Difference {
     pub heading: &'static str,
     /// Decimal digits.
     pub digits: usize,
-    /// The difference of a row; `None` for the oracle and the first policy.
+    /// The difference of a row; `None` for the first policy.
     pub of: fn(&Row) -> Option<Spread>,
 }
 

@@ -19,6 +19,7 @@ use super::differences::{Difference, marked_name};
 use super::notes::{note_on_times, notes_on_episodes};
 use super::origin;
 use super::output::{BELIEF_NOTE, BLOCKED, belief_columns, blocked_states, users};
+use super::point_tables;
 use super::sweep::{Grid, Sweep};
 use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE};
 use heliostat_service::whole_file;
@@ -54,12 +55,20 @@ fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Repo
          <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     )?;
     write_origin(&mut page, command, grid, reports)?;
-    for note in notes_on_episodes(reports, None) {
+    let mut notes = notes_on_episodes(reports, None);
+    // The tables over the points have intervals of their own.
+    for note in grid.map_or_else(Vec::new, |grid| notes_on_episodes(reports, Some(grid))) {
+        if !notes.contains(&note) {
+            notes.push(note);
+        }
+    }
+    for note in notes {
         writeln!(page, "<p class=\"note\">{}</p>", text(&note))?;
     }
     if let Some(grid) = grid {
         let keys = grid.keys().collect::<Vec<_>>().join(" and ");
         writeln!(page, "<h2>Over {}</h2>\n<div class=\"plots\">{}</div>", text(&keys), plots::over(grid, reports)?)?;
+        write_points(&mut page, grid, reports)?;
     }
     for (index, report) in reports.iter().enumerate() {
         if let Some(grid) = grid {
@@ -174,6 +183,23 @@ fn write_table(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "</table></div>")
 }
 
+/// The tables over the points of a sweep.
+fn write_points(page: &mut String, grid: &Grid, reports: &[Report]) -> std::fmt::Result {
+    for table in point_tables::tables(grid, reports) {
+        let names = grid.keys().chain(table.names.iter().copied());
+        let headings = names.map(|name| format!("<th>{}</th>", text(name))).collect::<String>();
+        let title = text(&table.title);
+        writeln!(page, "<h3>{title}</h3>\n<div class=\"wide\"><table class=\"figures\">\n<tr>{headings}</tr>")?;
+        for (point, line) in grid.points().iter().zip(&table.lines) {
+            let keys = point.iter().map(|value| format!("<th>{}</th>", text(value))).collect::<String>();
+            let cells = line.iter().map(|cell| format!("<td>{}</td>", escape(cell))).collect::<String>();
+            writeln!(page, "<tr>{keys}{cells}</tr>")?;
+        }
+        writeln!(page, "</table></div>")?;
+    }
+    Ok(())
+}
+
 fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
     if report.beliefs.is_empty() {
         return Ok(());
@@ -231,7 +257,7 @@ fn escape(text: &str) -> String {
 
 const STYLE: &str = "
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1280px; padding: 0 1.5rem; color: #222; }
-h1 { font-size: 1.7rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
+h1 { font-size: 1.7rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; } h3 { font-size: 1rem; margin-bottom: 0.3rem; }
 table { border-collapse: collapse; font-size: 0.9rem; } td, th { text-align: left; vertical-align: top; padding: 0.3rem 0.7rem; }
 .note { background: #fff4d6; border-left: 4px solid #e0a800; padding: 0.4rem 0.8rem; }
 .meta th { color: #666; font-weight: normal; } code { background: #f2f2f2; padding: 0 0.25em; border-radius: 3px; }

@@ -83,7 +83,7 @@ fn marks_difference(reports: &[Report], sweep: Option<&Grid>) -> bool {
     let reference = Difference::reference(reports);
     let of_policies = |one: &Difference, report: &Report| {
         let shown = |row: &Row| if sweep.is_some() { one.to(reference, report, row) } else { (one.of)(row) };
-        report.policies.iter().filter_map(|(_, row)| shown(row)).any(|spread| spread.crosses_bound)
+        rows(report).filter_map(|(_, row)| shown(row)).any(|spread| spread.crosses_bound)
     };
     let of_point = |one: &Difference, bases: &Bases, index: usize| {
         let mut shown =

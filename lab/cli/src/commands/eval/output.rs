@@ -3,15 +3,16 @@
 use std::io;
 
 use heliostat_environment::episodes::{INSTANTS, sampled_s};
-use heliostat_learn::comparison::{BeliefQuality, Loop, Report, Row, Spread};
+use heliostat_learn::comparison::{BeliefQuality, Loop, Report, Row};
 use heliostat_service::counted::counted;
 use heliostat_service::outln;
 
-use super::cells::{ber, difference, interval, number, of_policy, rows};
+use super::cells::{ber, difference, interval, number, rows};
 use super::differences::{Difference, marked_name};
 use super::notes::{note_on_times, notes_on_episodes};
+use super::point_tables::{self, PointTable};
 use super::sweep::{Grid, Sweep};
-use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE, ORACLE, exceeds_one};
+use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE, exceeds_one};
 
 /// The means of a comparison as bits, to find whether two are equal.
 pub fn figures(report: &Report) -> Vec<u64> {
@@ -130,10 +131,10 @@ fn print_outages(report: &Report) -> io::Result<()> {
     outln!("share of time: mean share of users below the minimum rate, at the states of the table above")
 }
 
-/// Prints the paired differences of the policies from the first one, if there are several.
+/// Prints the paired differences of the oracle and the policies from the first one, if there are several.
 fn print_differences(report: &Report) -> io::Result<()> {
     let differences: Vec<Difference> = Difference::all(report).collect();
-    let [(first, _), others @ ..] = &report.policies[..] else { return Ok(()) };
+    let Some((first, _)) = report.policies.first() else { return Ok(()) };
     if differences.is_empty() {
         return Ok(());
     }
@@ -141,7 +142,7 @@ fn print_differences(report: &Report) -> io::Result<()> {
     let width = name_width(report);
     let headings: Vec<String> = differences.iter().map(|one| format!("{:>15}", one.heading)).collect();
     outln!("{:<width$} {}", "", headings.join(" "))?;
-    for (name, row) in others {
+    for (name, row) in rows(report).filter(|(name, _)| name != first) {
         let cells: Vec<String> =
             differences.iter().map(|one| format!("{:>15}", difference((one.of)(row), one))).collect();
         outln!("{name:<width$} {}", cells.join(" "))?;
@@ -191,75 +192,40 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints the conditions, ratio and minimum rates met of every policy, then their sum rates, in closed loop the time in
-/// outage, the paired differences, and in closed loop the quality of the beliefs: one line for each point.
+/// Prints the conditions, the tables over the points, and in closed loop the quality of the beliefs.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
-    let Some(first) = reports.first() else { return Ok(()) };
     print_conditions(reports)?;
-    let states = states_and_seeds(first);
-    let is_shared = reports.iter().all(|report| states_and_seeds(report) == states);
-    let place = if is_shared { "" } else { " at the first point" };
-    outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {states}{place}")?;
-    print_columns(grid, reports, |_, name, row| match name {
-        ORACLE => interval(row.qos_met, 3),
-        _ => marked_name(&format!("{} {}", interval(row.ratio_to_oracle, 3), interval(row.qos_met, 3)), row),
-    })?;
-    note_on_near_best(reports)?;
-    outln!("sum rate in Mbit/s")?;
-    print_columns(grid, reports, |_, _, row| interval(row.sum_rate_mbps, 1))?;
-    if first.oracle.outage_time.is_some() {
-        outln!("outage: share of the users' time below the minimum rate")?;
-        print_columns(grid, reports, |_, _, row| interval(row.outage_time.unwrap_or(Spread::MISSING), 3))?;
+    for (index, table) in point_tables::tables(grid, reports).iter().enumerate() {
+        outln!("{}", table.title)?;
+        print_points(grid, table)?;
+        // The marks are in the table of ratios, which is the first one.
+        if index == 0 {
+            note_on_near_best(reports)?;
+        }
     }
-    let reference = Difference::reference(reports);
-    for one in Difference::of_any(reports) {
-        outln!("difference to {}, paired: {}", reference.unwrap_or_default(), one.figure)?;
-        print_columns(grid, reports, |index, _, row| difference(one.to(reference, &reports[index], row), &one))?;
-    }
-    print_differences_of_points(grid, reports)?;
     note_on_episodes(reports, Some(grid))?;
     note_on_ratios(reports)?;
     print_beliefs(Some(grid), reports)
 }
 
-/// Prints the paired differences of each point from its bases, where the points have the same rooms.
-fn print_differences_of_points(grid: &Grid, reports: &[Report]) -> io::Result<()> {
-    for bases in &grid.bases() {
-        for one in Difference::of_points(reports, bases) {
-            outln!("difference to {}, paired by episode: {}", bases.name, one.figure)?;
-            print_columns(grid, reports, |index, name, _| {
-                difference(one.to_base(reports, bases, index, of_policy(name)), &one)
-            })?;
-        }
+/// Prints a table with one line for each point.
+fn print_points(grid: &Grid, table: &PointTable) -> io::Result<()> {
+    let width = |(column, name): (usize, &&str)| {
+        let cells = table.lines.iter().map(|line| line[column].chars().count());
+        cells.chain([name.chars().count()]).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = table.names.iter().enumerate().map(width).collect();
+    outln!("{} {}", key_cells(grid, grid.keys()), aligned(&table.names, &widths))?;
+    for (point, line) in grid.points().iter().zip(&table.lines) {
+        outln!("{} {}", key_cells(grid, point.iter().copied()), aligned(line, &widths))?;
     }
     Ok(())
 }
 
-/// Prints a column for the oracle and one for each policy of any point; `cell` returns the text of a row at a
-/// point. A point without a policy has a dash.
-fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(usize, &str, &Row) -> String) -> io::Result<()> {
-    let mut names: Vec<&str> = Vec::new();
-    for (name, _) in reports.iter().flat_map(rows) {
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    let of_name = |name: &str| -> Vec<String> {
-        let text = |(index, report)| {
-            let row = rows(report).find(|(of, _)| *of == name);
-            row.map_or("-".into(), |(_, row)| cell(index, name, row))
-        };
-        let cells: Vec<String> = reports.iter().enumerate().map(text).collect();
-        let width = cells.iter().map(|cell| cell.chars().count()).chain([name.chars().count()]).max().unwrap_or(0);
-        [name.to_owned()].into_iter().chain(cells).map(|cell| format!("{cell:>width$}")).collect()
-    };
-    let columns: Vec<Vec<String>> = names.into_iter().map(of_name).collect();
-    let line = |index: usize| columns.iter().map(|column| column[index].as_str()).collect::<Vec<_>>().join(" ");
-    outln!("{} {}", key_cells(grid, grid.keys()), line(0))?;
-    for (index, point) in grid.points().iter().enumerate() {
-        outln!("{} {}", key_cells(grid, point.iter().copied()), line(index + 1))?;
-    }
-    Ok(())
+/// Cells in one line, each at the right of its column.
+fn aligned(cells: &[impl AsRef<str>], widths: &[usize]) -> String {
+    let cells = cells.iter().zip(widths).map(|(cell, &width)| format!("{:>width$}", cell.as_ref()));
+    cells.collect::<Vec<_>>().join(" ")
 }
 
 /// The columns of the keys of a sweep, with these texts.
@@ -274,7 +240,8 @@ fn key_width(sweep: &Sweep) -> usize {
     values.chain([sweep.key().chars().count()]).max().unwrap_or(0)
 }
 
-fn states_and_seeds(report: &Report) -> String {
+/// How many states a comparison has, and of which seeds.
+pub(super) fn states_and_seeds(report: &Report) -> String {
     let states = counted(report.states, "state");
     let states = match report.seeds {
         1 => format!("{states} of the seed {}", report.seed),

@@ -35,6 +35,19 @@ pub struct Verdict {
     pub worst: f64,
     /// Whether every row is within the limit.
     pub met: bool,
+    /// Whether the 95 % interval of that figure contains the limit.
+    pub open: bool,
+}
+
+/// Ends a verdict whose interval contains the limit.
+pub const OPEN: &str = "open within the interval";
+
+impl Verdict {
+    /// The verdict in words.
+    pub fn words(&self) -> String {
+        let met = if self.met { "met" } else { "not met" };
+        if self.open { format!("{met}, {OPEN}") } else { met.to_owned() }
+    }
 }
 
 impl Bound {
@@ -55,6 +68,12 @@ impl Bound {
             let value = row.pointer(at).and_then(Value::as_f64);
             value.with_context(|| format!("{}; {}", missing("figure at", at), nearest(std::iter::once(row), at)))
         };
+        let half_width = |row: &Value| {
+            // That of a quotient, or of a difference between two rows, does not follow from theirs.
+            let is_own = self.share_of.is_none() && self.below.is_none();
+            let at = self.at.strip_suffix("/mean").filter(|_| is_own)?;
+            row.pointer(&format!("{at}/ci95"))?.as_f64()
+        };
         let of_row = |row: &Value| -> Result<f64> {
             let mut value = figure(row, &self.at)?;
             if let Some(of) = &self.share_of {
@@ -67,18 +86,23 @@ impl Bound {
             Ok(value)
         };
         let concerned = rows.iter().filter(|(name, _)| self.row.as_ref().is_none_or(|row| row == name));
-        let figures = concerned.map(|(_, row)| of_row(row)).collect::<Result<Vec<f64>>>()?;
-        ensure!(!figures.is_empty(), "{}", missing("row", self.row.as_deref().unwrap_or("of any name")));
-        Ok(match (self.at_least, self.at_most) {
+        let found = concerned.map(|(_, row)| of_row(row).map(|figure| (figure, half_width(row))));
+        let found = found.collect::<Result<Vec<(f64, Option<f64>)>>>()?;
+        ensure!(!found.is_empty(), "{}", missing("row", self.row.as_deref().unwrap_or("of any name")));
+        let figures = found.iter().map(|(figure, _)| *figure);
+        let (worst, met, limit) = match (self.at_least, self.at_most) {
             (Some(limit), _) => {
-                let least = figures.iter().copied().fold(f64::INFINITY, f64::min);
-                Verdict { worst: least, met: least >= limit }
+                let least = figures.fold(f64::INFINITY, f64::min);
+                (least, least >= limit, Some(limit))
             }
             (None, limit) => {
-                let most = figures.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                Verdict { worst: most, met: limit.is_some_and(|limit| most <= limit) }
+                let most = figures.fold(f64::NEG_INFINITY, f64::max);
+                (most, limit.is_some_and(|limit| most <= limit), limit)
             }
-        })
+        };
+        let half = found.iter().find(|(figure, _)| *figure == worst).and_then(|(_, half)| *half);
+        let open = limit.zip(half).is_some_and(|(limit, half)| (worst - limit).abs() <= half);
+        Ok(Verdict { worst, met, open })
     }
 }
 
@@ -105,10 +129,32 @@ mod tests {
             ("at = \"/late\"\nat_most = 1", 2.0, false),
             ("row = \"greedy\"\nat = \"/late\"\nshare_of = \"/count\"\nat_most = 0.001", 0.002, false),
         ] {
-            assert_eq!(judge(bound).unwrap(), Verdict { worst, met }, "{bound}");
+            assert_eq!(judge(bound).unwrap(), Verdict { worst, met, open: false }, "{bound}");
         }
         let below = judge("row = \"greedy\"\nat = \"/met\"\nbelow = \"(oracle)\"\nat_most = 0.03").unwrap();
         assert!((below.worst - 0.02).abs() < 1e-12 && below.met);
+    }
+
+    #[test]
+    fn a_limit_within_the_interval_of_the_figure_is_open() {
+        let row =
+            json!({ "qos": { "mean": 0.877, "ci95": 0.017 }, "alone": { "mean": 0.877, "ci95": null }, "count": 1 });
+        let rows = [("greedy".to_owned(), row), ("flat".to_owned(), json!({ "qos": { "mean": 0.5, "ci95": 0.1 } }))];
+        for (bound, expected) in [
+            ("at = \"/qos/mean\"\nat_least = 0.878", "not met, open within the interval"),
+            ("at = \"/qos/mean\"\nat_least = 0.87", "met, open within the interval"),
+            ("at = \"/qos/mean\"\nat_most = 0.88", "met, open within the interval"),
+            ("at = \"/qos/mean\"\nat_least = 0.85", "met"),
+            ("at = \"/qos/mean\"\nat_least = 0.9", "not met"),
+            ("at = \"/qos/ci95\"\nat_most = 0.01", "not met"),
+            ("at = \"/alone/mean\"\nat_least = 0.878", "not met"),
+            ("at = \"/qos/mean\"\nshare_of = \"/count\"\nat_least = 0.878", "not met"),
+            ("at = \"/qos/mean\"\nbelow = \"flat\"\nat_most = -0.38", "not met"),
+        ] {
+            let bound: Bound =
+                toml::from_str(&format!("what = \"a test\"\nrow = \"greedy\"\n{bound}")).expect("a bound");
+            assert_eq!(bound.judge(&rows).expect("a verdict").words(), expected, "{bound:?}");
+        }
     }
 
     #[test]

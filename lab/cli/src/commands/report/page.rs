@@ -10,6 +10,7 @@ use serde_json::Value;
 use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 
 use super::archive::{Archive, Finished};
+use super::bound::OPEN;
 use super::definition::{Definition, Section};
 use super::summary;
 use super::table::{check_columns, crosses_note, grid, markdown, near_best_note, rows, texts};
@@ -49,7 +50,11 @@ pub fn write(definition: &Definition, archive: &Archive) -> Result<Page> {
     }
     if !bounds.is_empty() {
         bounds.insert(0, ["section", "bound", "found", "verdict"].map(String::from).to_vec());
-        text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.\n\n");
+        text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.");
+        if bounds.iter().flatten().any(|cell| cell.ends_with(OPEN)) {
+            write!(text, " Where a verdict is \"{OPEN}\", the 95 % interval of that figure contains the limit.")?;
+        }
+        text.push_str("\n\n");
         writeln!(text, "{}", grid(&bounds))?;
     }
     for one in &definition.summary {
@@ -90,8 +95,7 @@ fn judge(section: &Section, finished: &Finished, bounds: &mut Vec<Vec<String>>) 
     for bound in &section.bounds {
         let pointer = bound.rows.as_ref().or(section.tables.first().map(|table| &table.rows)).context("no rows")?;
         let verdict = bound.judge(&rows(&finished.output, pointer, &finished.arguments)?)?;
-        let met = if verdict.met { "met" } else { "not met" };
-        bounds.push(vec![section.title.clone(), bound.what.clone(), significant(verdict.worst), met.into()]);
+        bounds.push(vec![section.title.clone(), bound.what.clone(), significant(verdict.worst), verdict.words()]);
     }
     Ok(())
 }
@@ -295,6 +299,28 @@ mod tests {
         assert!(problem.starts_with(&format!("in section first: {reason}")), "{problem}");
         assert!(text.contains("| 1.5 | - |\n\nNot shown: column \"p99\""), "{text}");
         assert!(text.contains("| The loop | p50 at most 2 | 1.5 | met |"), "{text}");
+    }
+
+    #[test]
+    fn a_page_explains_a_verdict_that_is_open_within_the_interval() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("example.toml");
+        let report =
+            REPORT.replace("p50 | /p50 | .1", "p50 | /p50 | ±1").replace("at = \"/p50\"", "at = \"/p50/mean\"");
+        std::fs::write(&file, report).unwrap();
+        let definition = Definition::read(&file, &[]).unwrap();
+        let page = |ci95: f64| {
+            let mut archive = Archive::new("example", false);
+            archive.put(finished("first", json!({ "rows": [{ "p50": { "mean": 2.31, "ci95": ci95 } }] })));
+            write(&definition, &archive).unwrap().text
+        };
+        let (wide, narrow) = (page(0.4), page(0.2));
+        for part in
+            ["| 2.31 | not met, open within the interval |", "the 95 % interval of that figure contains the limit."]
+        {
+            assert!(wide.contains(part) && !narrow.contains(part), "{part}: {wide}");
+        }
+        assert!(narrow.contains("farthest beyond it.\n\n| section") && narrow.contains("| not met |"), "{narrow}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Tables over several sections.
 
 use anyhow::{Context, Result};
+use heliostat_environment::score::Figure;
 use heliostat_learn::comparison::{Spread, bounded, paired, paired_with_mean};
 use serde_json::{Map, Value, json};
 
@@ -169,14 +170,11 @@ fn mean(found: &[Value], columns: &[Column]) -> Value {
                 let estimates: Vec<(f64, Option<f64>)> = estimates.collect();
                 let count = estimates.len() as f64;
                 let widths: Option<Vec<f64>> = estimates.iter().map(|(_, width)| *width).collect();
-                match estimates.is_empty() {
-                    true => Value::Null,
-                    false => json!({
-                        "mean": estimates.iter().map(|(mean, _)| mean).sum::<f64>() / count,
-                        // An upper bound of that of the mean.
-                        "ci95": widths.map(|widths| widths.iter().sum::<f64>() / count),
-                    }),
-                }
+                let mean = estimates.iter().map(|(mean, _)| mean).sum::<f64>() / count;
+                // An upper bound of that of the mean.
+                let ci95 = widths.map_or(f64::NAN, |widths| widths.iter().sum::<f64>() / count);
+                let over_sections = within_bounds(figure(&column.at), Spread { mean, ci95, ..Spread::MISSING });
+                if estimates.is_empty() { Value::Null } else { json!(over_sections) }
             }
             Form::Number(_) | Form::Text => {
                 json!(values.iter().filter_map(|value| value.as_f64()).max_by(f64::total_cmp))
@@ -186,6 +184,14 @@ fn mean(found: &[Value], columns: &[Column]) -> Value {
     }
     row["sections"] = json!(found.len());
     row
+}
+
+/// An estimate of the figure or difference of this name, with the bounds that it has by its definition.
+fn within_bounds(name: &str, estimate: Spread) -> Spread {
+    match name.strip_prefix("difference_") {
+        Some(of) => bounded(of, estimate),
+        None => Figure::named(name).map_or(estimate, |figure| figure.bounded(estimate)),
+    }
 }
 
 /// Sets the value at a JSON pointer; objects on the way are made.
@@ -227,6 +233,23 @@ mod tests {
         not_kept["each"] = Value::Null;
         assert_eq!(by_episode(&not_kept, &not_kept, AT), None);
         assert_eq!(by_episode(&base, &base, "/beliefs/filter/coverage_95"), None);
+    }
+
+    #[test]
+    fn a_mean_over_sections_whose_interval_reaches_beyond_its_figure_is_marked() {
+        let names = ["ratio_to_oracle", "qos_met", "difference_qos_met", "sum_rate_mbps"];
+        let column = |name: &str| Column::try_from(format!("{name} | /{name} | ±1")).expect("a column");
+        let columns = names.map(column);
+        let table = |halves: &[f64]| {
+            let estimate = |half: f64| json!({ "mean": 0.5, "ci95": half });
+            let row =
+                |half: &f64| names.iter().map(|name| ((*name).to_owned(), estimate(*half))).collect::<Map<_, _>>();
+            let found: Vec<Value> = halves.iter().map(|half| Value::Object(row(half))).collect();
+            markdown(&[("flat".to_owned(), mean(&found, &columns))], &columns, Some(""))
+        };
+        let (wide, narrow) = (table(&[5.0]), table(&[0.6, 0.2]));
+        assert!(wide.ends_with(&format!("| flat |{}\n", " 0.5 ± 5.0\\* |".repeat(4))), "{wide}");
+        assert!(narrow.ends_with(&format!("| flat |{}\n", " 0.5 ± 0.4 |".repeat(4))), "one section crosses: {narrow}");
     }
 
     #[test]

@@ -80,9 +80,19 @@ fn a_report_of_a_sweep_has_curves_and_a_table_for_each_value() {
     let alone = plots(&report(&["--policies", "flat,nearest", "--states", "3"]));
     let numbers = report(&[&flags[..], &["led.power_w=1,2"]].concat());
     assert_eq!(plots(&numbers), 2 * alone + 3, "three curves, and the plots of each value");
-    assert!(numbers.contains("led.power_w = 2") && numbers.matches("class=\"figures\"").count() == 2);
+    assert!(numbers.contains("led.power_w = 2"), "{numbers}");
+    let tables: Vec<&str> = numbers.split("<h3>").skip(1).collect();
+    // Ratio and sum rate, three differences to the first policy, and three to the first point.
+    assert_eq!((tables.len(), numbers.matches("class=\"figures\"").count()), (8, 8 + 2), "{numbers}");
+    let of_points = "difference to led.power_w = 1, paired by episode: sum rate in Mbit/s</h3>";
+    let table = tables.iter().find(|table| table.starts_with(of_points)).expect("the table of the first point");
+    assert!(table.contains("<tr><th>led.power_w</th><th>(oracle)</th><th>flat</th><th>nearest</th></tr>"), "{table}");
+    assert!(table.contains("<tr><th>1</th><td>-</td><td>-</td><td>-</td></tr>"), "{table}");
+    assert!(table.contains("<tr><th>2</th><td>+"), "{table}");
     let words = report(&[&flags[..], &["receiver.combining=best,equal-gain"]].concat());
-    assert_eq!(plots(&words), 2 * alone, "words have no place on an axis");
+    assert_eq!(plots(&words), 2 * alone + 3, "words are categories");
+    let over = words.split("<h2>Over ").nth(1).and_then(|rest| rest.split("<h3>").next()).expect("the plots");
+    assert!(over.contains("best") && over.contains("equal-gain"), "{over}");
 }
 
 #[test]

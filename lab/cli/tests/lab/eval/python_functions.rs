@@ -54,6 +54,9 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
             let message =
                 refusal(&[&["--policies", &name(function), "--states", "20", "--seeds", "1"], mode, &SMALL].concat());
             assert!(message.contains(part), "{function}: {message}");
+            assert!(!message.contains("<string>"), "lines of the program that calls {function}: {message}");
+            let has_lines = matches!(function, "fails" | "exits");
+            assert_eq!(message.contains("Traceback"), has_lines, "{function}: {message}");
         }
     }
     let other = folder.path().join("other.py");
@@ -62,6 +65,10 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     for part in ["No module named 'no_such_module'; the interpreter is ", "or name another one in HELIOSTAT_PYTHON"] {
         assert!(message.contains(part), "{message}");
     }
+    assert!(message.contains("other.py\", line 1") && !message.contains("<string>"), "{message}");
+    std::fs::write(&other, "def act(seen)\n").expect("writable");
+    let message = refusal(&["--policies", &format!("{}:act", other.to_str().expect("a plain path"))]);
+    assert!(message.contains("def act(seen)") && !message.contains("<frozen"), "the line: {message}");
     let message = refusal(&["--policies", "nowhere.py:act"]);
     assert!(message.contains("no file nowhere.py"), "{message}");
     for unusable in ["nowhere.py:act", &name("nothing"), &name("odd")] {

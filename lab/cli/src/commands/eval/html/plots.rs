@@ -11,7 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::super::cells::rows;
 use super::super::differences::Difference;
-use super::super::sweep::Grid;
+use super::super::sweep::{Grid, Sweep};
 
 /// Width of a plot, of its column of names, and height of a row and of the axis, in pixels.
 const WIDTH: u32 = 600;
@@ -21,6 +21,11 @@ const AXIS: u32 = 32;
 const TITLE: u32 = 30;
 /// Longest name in characters; the table has the complete one.
 const NAME_MAX: usize = 26;
+/// Characters below an axis of categories, and the fewest of each.
+const CATEGORIES: usize = 56;
+const CATEGORY_MIN: usize = 3;
+/// Share of the distance between two categories in which the policies are beside each other.
+const BESIDE: f64 = 0.6;
 
 /// A value with its interval; NaN where there is none.
 struct Dot<'a> {
@@ -68,11 +73,11 @@ pub fn by_policy(report: &Report) -> Result<String> {
     Ok(plots)
 }
 
-/// The figures of each further policy minus those of the first; nothing for a single policy.
+/// The figures of the oracle and of each further policy minus those of the first; nothing for a single policy.
 fn differences(report: &Report) -> Result<String> {
     let mut plots = String::new();
     for Difference { figure, of, .. } in Difference::all(report) {
-        let dots = report.policies.iter().filter_map(|(name, row)| {
+        let dots = rows(report).filter_map(|(name, row)| {
             let spread = of(row)?;
             let [low, high] = spread.ends();
             Some(Dot { name, at: spread.mean, low, high })
@@ -87,12 +92,9 @@ fn differences(report: &Report) -> Result<String> {
 }
 
 /// A curve of each quantity for each policy over the values of the first key, in one panel for each
-/// value of a second key; none if a value of the first key is no number.
+/// value of a second key; points beside each other if a value of the first key is no number.
 pub fn over(grid: &Grid, reports: &[Report]) -> Result<String> {
-    let values: Result<Vec<f64>, _> = grid.points().iter().map(|point| point[0].parse::<f64>()).collect();
-    let Some(values) = values.ok().filter(|values| values.iter().all(|value| value.is_finite())) else {
-        return Ok(String::new());
-    };
+    let (axis, places) = first_axis(grid);
     let seconds: Vec<Option<&str>> = match grid.sweeps() {
         [_, second] => second.values().iter().map(|value| Some(value.as_str())).collect(),
         _ => vec![None],
@@ -100,13 +102,16 @@ pub fn over(grid: &Grid, reports: &[Report]) -> Result<String> {
     let mut plots = String::new();
     for (title, quantity) in quantities(&reports[0]) {
         let panels = seconds.iter().map(|second| {
-            let points = || reports.iter().zip(&values).zip(grid.points());
+            let points = || reports.iter().zip(&places).zip(grid.points());
             let points = || points().filter(|(_, point)| point.get(1).copied() == *second).map(|(found, _)| found);
+            let count = rows(&reports[0]).count() as f64;
             let series = rows(&reports[0]).enumerate().map(|(index, (name, _))| {
+                let aside = if axis.names.is_empty() { 0.0 } else { BESIDE * ((index as f64 + 0.5) / count - 0.5) };
                 let points = points().filter_map(|(report, x)| {
-                    let spread = quantity(rows(report).nth(index)?.1);
+                    // A point may lack a policy that does not fit it.
+                    let spread = quantity(rows(report).find(|(of, _)| *of == name)?.1);
                     let ci95 = (!spread.ci95.is_nan()).then_some(spread.ci95);
-                    (!spread.mean.is_nan()).then_some(Point { x: *x, y: spread.mean, ci95, x_ci95: None })
+                    (!spread.mean.is_nan()).then_some(Point { x: *x + aside, y: spread.mean, ci95, x_ci95: None })
                 });
                 let mut points: Vec<Point> = points.collect();
                 points.sort_by(|one, other| one.x.total_cmp(&other.x));
@@ -121,7 +126,7 @@ pub fn over(grid: &Grid, reports: &[Report]) -> Result<String> {
         let figure = Figure {
             room: printable(&reports[0].scenario).into_owned(),
             title: title.into(),
-            x: Axis::linear(&printable(grid.keys().next().unwrap_or_default())),
+            x: axis.clone(),
             y: Axis { bounds: low.is_finite().then_some([low, high]), ..Axis::linear(title) },
             panels: panels.collect(),
             ..Figure::default()
@@ -129,6 +134,20 @@ pub fn over(grid: &Grid, reports: &[Report]) -> Result<String> {
         plots += &svg::draw(&figure)?;
     }
     Ok(plots)
+}
+
+/// The axis of the first key, and the place of each point on it: categories if a value is no number.
+fn first_axis(grid: &Grid) -> (Axis, Vec<f64>) {
+    let key = printable(grid.keys().next().unwrap_or_default());
+    let numbers: Result<Vec<f64>, _> = grid.points().iter().map(|point| point[0].parse::<f64>()).collect();
+    if let Some(numbers) = numbers.ok().filter(|numbers| numbers.iter().all(|value| value.is_finite())) {
+        return (Axis::linear(&key), numbers);
+    }
+    let values = grid.sweeps().first().map_or(&[][..], Sweep::values);
+    let length = (CATEGORIES / values.len().max(1)).max(CATEGORY_MIN);
+    let place = |point: &Vec<&str>| values.iter().position(|value| value == point[0]).map_or(0.0, |at| at as f64 + 1.0);
+    let names = values.iter().map(|value| shortened(value, length)).collect();
+    (Axis::categories(&key, names), grid.points().iter().map(place).collect())
 }
 
 /// Draws one row for each dot, the first at the top.
@@ -202,13 +221,18 @@ fn ends(is_log: bool, dots: &[Dot], place: impl Fn(f64) -> f64) -> [f64; 2] {
     [low, if high > low { high + margin } else { 1.0 }]
 }
 
+/// The end of a path names its file.
 fn short_name(name: &str) -> String {
-    let name = printable(name);
-    let length = name.chars().count();
-    if length <= NAME_MAX {
-        return name.into_owned();
+    shortened(name, NAME_MAX)
+}
+
+/// The last characters of a text, at most this many.
+fn shortened(text: &str, most: usize) -> String {
+    let text = printable(text);
+    let length = text.chars().count();
+    if length <= most {
+        return text.into_owned();
     }
-    // The end of a path names its file.
-    let end: String = name.chars().skip(length + 1 - NAME_MAX).collect();
+    let end: String = text.chars().skip(length + 1 - most).collect();
     format!("…{end}")
 }

@@ -179,15 +179,17 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace, rate_hz: float = 20.0) -> None:
     """Reports `users_at(seconds since the start)` at a rate in Hz until Ctrl-C, SIGTERM or `--seconds`.
 
-    A report that is refused is left out, and its reason is printed. The process exits with status 1 and the reason
-    where the room cannot be joined.
+    It prints when it begins to report. A report that is refused is left out, and its reason is printed. The process
+    exits with status 1 and the reason where the room cannot be joined.
     """
     begin, turn, refused = time.monotonic(), 0, ""
     try:
         with stop_on_signals(threading.Event()) as stop, Tracker(Settings.of(given), stop) as tracker:
             while not stop.is_set() and (given.seconds is None or time.monotonic() < begin + given.seconds):
                 try:
-                    tracker.report(users_at(time.monotonic() - begin))
+                    if tracker.report(users_at(time.monotonic() - begin)) == 1:
+                        line = f'reports the users of room "{tracker._peer.room}", {rate_hz:g} times a second'
+                        print(line, file=sys.stderr, flush=True)
                 except Refused as problem:
                     if refused != str(problem):
                         refused = str(problem)

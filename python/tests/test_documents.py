@@ -32,6 +32,13 @@ def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: 
     assert printed in capsys.readouterr().out
 
 
+def test_a_tutorial_that_starts_a_process_in_the_background_has_the_command_that_ends_it() -> None:
+    pages = {page.name: page.read_text(encoding="utf-8") for page in (DOCS / "tutorials").glob("*.md")}
+    background = {name: text for name, text in pages.items() if re.search(r" &$", text, re.MULTILINE)}
+    assert {"first-run.md", "own-driver.md"} <= background.keys()
+    assert [name for name, text in background.items() if "`kill %1`" not in text] == []
+
+
 def test_the_titles_of_three_panels_of_the_study_do_not_overlap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -93,8 +93,8 @@ def _vector(name: str, values: Any, *axes: str) -> list[float]:
 class Tracker:
     """A tracker in a room, as a context manager.
 
-    It announces itself, and publishes its status about once a second of reports. Raises `PeerError` where the room
-    cannot be joined.
+    It announces itself, and publishes its status about once a second of reports. The first report has a line on
+    standard error. Raises `PeerError` where the room cannot be joined.
     """
 
     def __init__(self, settings: Settings, stop: threading.Event | None = None) -> None:
@@ -142,6 +142,8 @@ class Tracker:
         finally:
             self.publish_status()
         self._tick += 1
+        if self._tick == 1:
+            print(f'reports the users of room "{self._peer.room}"', file=sys.stderr, flush=True)
         return self._tick
 
     def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:
@@ -179,17 +181,15 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace, rate_hz: float = 20.0) -> None:
     """Reports `users_at(seconds since the start)` at a rate in Hz until Ctrl-C, SIGTERM or `--seconds`.
 
-    It prints when it begins to report. A report that is refused is left out, and its reason is printed. The process
-    exits with status 1 and the reason where the room cannot be joined.
+    A report that is refused is left out, and its reason is printed. The process exits with status 1 and the reason
+    where the room cannot be joined.
     """
     begin, turn, refused = time.monotonic(), 0, ""
     try:
         with stop_on_signals(threading.Event()) as stop, Tracker(Settings.of(given), stop) as tracker:
             while not stop.is_set() and (given.seconds is None or time.monotonic() < begin + given.seconds):
                 try:
-                    if tracker.report(users_at(time.monotonic() - begin)) == 1:
-                        line = f'reports the users of room "{tracker._peer.room}", {rate_hz:g} times a second'
-                        print(line, file=sys.stderr, flush=True)
+                    tracker.report(users_at(time.monotonic() - begin))
                 except Refused as problem:
                     if refused != str(problem):
                         refused = str(problem)

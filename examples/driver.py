@@ -5,6 +5,8 @@
 
 docs/tutorials/own-driver.md explains it; --help lists the flags.
 """
+import math
+
 from heliostat.driver import Capabilities, Device, main, parser
 
 
@@ -12,7 +14,8 @@ class Mirrors(Device):
     """Mirrors that reach every angle at once."""
 
     def __init__(self, rows, columns):
-        limits = (-1.5, 1.5)
+        # As the default of `control.range_deg`, the largest angle that a controller commands.
+        limits = (-math.pi / 2, math.pi / 2)
         self.capabilities = Capabilities("numbers", rows, columns, roll_rad=limits, yaw_rad=limits, park_after_ms=300)
 
     def turn(self, roll, yaw):

@@ -33,6 +33,22 @@ def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: 
     assert printed in capsys.readouterr().out
 
 
+def test_a_tutorial_that_starts_a_process_in_the_background_has_the_command_that_ends_it() -> None:
+    pages = {page.name: page.read_text(encoding="utf-8") for page in (DOCS / "tutorials").glob("*.md")}
+    background = {name: text for name, text in pages.items() if re.search(r" &$", text, re.MULTILINE)}
+    assert {"first-run.md", "own-driver.md"} <= background.keys()
+    assert [name for name, text in background.items() if "`kill %1`" not in text] == []
+
+
+def test_the_guide_of_the_page_has_what_to_do_at_each_banner() -> None:
+    shown = "".join((DOCS.parent / "crates/ui/page" / name).read_text("utf-8") for name in ("sentence.js", "page.js"))
+    guide = (DOCS / "page.md").read_text(encoding="utf-8").split("### What to do at a banner\n")[1].split("\n### ")[0]
+    named = re.findall(r"^\| `([^`]+)`[^|]* \| \w", guide, re.MULTILINE)
+    assert [words for words in named if words not in shown] == []
+    # Each banner is one object; that of an unconfirmed stop and that of a confirmed one have further sentences.
+    assert len(named) >= shown.count("{ kind: ")
+
+
 def test_the_titles_of_three_panels_of_the_study_do_not_overlap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

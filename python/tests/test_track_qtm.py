@@ -128,7 +128,7 @@ def test_rigid_bodies_become_users_whom_a_controller_answers(tmp_path: Path) -> 
         qtm.bodies = [LOST, LOST]
         run.wait_for({})
         output, errors = run.end()
-        assert "problems" not in output, (output, errors)
+        assert "problems" not in output and 'reports the users of room "tracked"\n' in errors, (output, errors)
 
 
 def test_an_absent_server_and_a_lost_connection_are_named_and_tried_again(tmp_path: Path) -> None:

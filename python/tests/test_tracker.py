@@ -30,7 +30,8 @@ def test_the_example_reports_users_who_enter_and_leave_until_ctrl_c(tmp_path: Pa
             wait_until("report of two users", lambda: present() == [0, 2])
             assert len(room.alive("heliostat/v1/tracked/alive/tracker/*")) == 1
             assert room.latest["status"]["node"] == 3 and room.latest["status"]["state"] == "tracking"
-            output, _ = end_by(signal.SIGINT, tracker)
+            output, errors = end_by(signal.SIGINT, tracker)
+        assert errors.startswith('reports the users of room "tracked"\n')
         assert int(output.removeprefix("reports sent: ")) >= room.latest["users"]["tick"] > 20
 
 

@@ -93,8 +93,8 @@ def _vector(name: str, values: Any, *axes: str) -> list[float]:
 class Tracker:
     """A tracker in a room, as a context manager.
 
-    It announces itself, and publishes its status about once a second of reports. Raises `PeerError` where the room
-    cannot be joined.
+    It announces itself, and publishes its status about once a second of reports. The first report has a line on
+    standard error. Raises `PeerError` where the room cannot be joined.
     """
 
     def __init__(self, settings: Settings, stop: threading.Event | None = None) -> None:
@@ -142,6 +142,8 @@ class Tracker:
         finally:
             self.publish_status()
         self._tick += 1
+        if self._tick == 1:
+            print(f'reports the users of room "{self._peer.room}"', file=sys.stderr, flush=True)
         return self._tick
 
     def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:

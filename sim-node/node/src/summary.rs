@@ -188,6 +188,29 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_first_run_has_a_sample_of_the_summary() {
+        let guide = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/tutorials/first-run.md");
+        let guide = std::fs::read_to_string(guide).expect("the guide");
+        let words = [("COUNT on", "0.00 on"), ("COUNT", "0"), ("TIME", "0")];
+        let words = words.into_iter().chain([("RATE", "0.0"), ("RATIO", "0.000"), ("SHARE", "0.000")]);
+        let guide = words.fold(guide, |guide, (word, figure)| guide.replace(word, figure));
+        let text = Summary {
+            scenario: "hall".to_owned(),
+            scenario_hash: "HASH".to_owned(),
+            seed: 1,
+            loop_us: Quantiles { count: 1, ..Quantiles::default() },
+            truth_samples: 1,
+            sum_rate_mbps: Some(SumRatesMbps::default()),
+            ratio_to_oracle: Some(0.0),
+            qos_met: Some(0.0),
+            qos_met_oracle: Some(0.0),
+            ..Summary::default()
+        }
+        .to_string();
+        assert!(guide.contains(&text), "{text}");
+    }
+
+    #[test]
     fn what_was_not_counted_is_a_dash() {
         let text = Summary::default().to_string();
         for line in ["loop, us        -", "ratio to oracle -", "blocked users   -"] {

@@ -101,6 +101,11 @@ fn the_commands_of_the_tutorial_control_an_array() {
     let released = heliostat("heliostat rearm", &["--timeout", "100"]).wait();
     assert!(released.output.contains("are released"), "{} {}", released.output, released.errors);
     wait_until("an array that follows", || is_array(ArrayState::Following));
+    let checked = heliostat("heliostat doctor", &["--json"]).wait().last_json();
+    let checks = checked["checks"].as_array().expect("a list of checks");
+    let driver = checks.iter().filter(|check| check["name"] == "driver");
+    let verdicts: Vec<_> = driver.map(|check| check["verdict"].as_str().expect("text")).collect();
+    assert_eq!(verdicts, ["ok"], "the example has the range of the scenario: {checked}");
     let stopped = heliostat("heliostat stop", &["--timeout", "100"]).wait();
     assert!(stopped.status.success(), "{} {}", stopped.output, stopped.errors);
     let released = heliostat("heliostat rearm", &["--timeout", "100"]).wait();

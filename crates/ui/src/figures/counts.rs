@@ -136,6 +136,19 @@ mod tests {
     }
 
     #[test]
+    fn the_guide_of_the_page_explains_each_counter() {
+        let guide = include_str!("../../../../docs/page.md");
+        let explained: String = guide.lines().filter(|line| line.starts_with("- **`")).collect();
+        let counters = ["decisions", "modelled"].map(|name| (name.to_owned(), 1)).to_vec();
+        let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
+        let shown = counts(&Counting { controller: Some(&status), ..Counting::default() });
+        assert!(shown.iter().any(|count| count.name == "modelled"));
+        for Count { name, .. } in shown {
+            assert!(explained.contains(&format!("`{name}`")), "docs/page.md lacks {name}");
+        }
+    }
+
+    #[test]
     fn each_counter_has_the_process_that_counts_and_the_minutes_since_its_start() {
         let of = |node, source, minutes: u64| {
             let started_ns = 1_000_000_000;

@@ -282,6 +282,16 @@ mod tests {
     }
 
     #[test]
+    fn the_tutorial_of_an_own_room_has_the_answer_of_its_first_release() {
+        let guide = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/tutorials/own-room.md");
+        let guide = std::fs::read_to_string(guide).expect("the guide");
+        let first = RoomStop { reason: "the last state is unknown: there is no FILE".to_owned(), ..stop(false) };
+        let stops = std::slice::from_ref(&first);
+        let answer = with_stops(release_in_words("own", Duration::ZERO, stops, &[]), "released", stops);
+        assert!(guide.contains(&answer.replace("0.0 ms", "TIME ms")), "{answer}");
+    }
+
+    #[test]
     fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
         let words = |unlisted| release_in_words("lab", Duration::from_millis(5), &[stop(unlisted)], &[]);
         assert_eq!(words(false), "the arrays of room lab are released, confirmed after 5.0 ms");

@@ -105,6 +105,15 @@ fn the_number_of_blocked_paths_is_unknown_while_the_room_is_silent() {
     assert_eq!(browser.run(buttons), before);
     setting.room.signal("CONT");
     wait_until("the number again", || browser.run(pressed) == serde_json::json!(["2"]));
+    // A real room takes no such order. In one step, before the next figures.
+    let of_real = "return Promise.all([import('/orders.js'), ...['room', 'events'].map((name) => fetch(`/${name}.json`).then((answer) => answer.json()))]) \
+           .then(([{ Orders }, plan, { figures }]) => { \
+             const orders = new Orders(); \
+             orders.open(plan); \
+             return ['simulated', 'real'].map((origin) => { \
+               orders.update({ ...figures, origin, users: figures.users.map((user) => ({ ...user, forced: false })) }); \
+               return document.querySelectorAll('#blocked [aria-pressed=true]').length; }); })";
+    assert_eq!(browser.run(of_real), serde_json::json!([1, 0]));
 }
 
 #[needs("browser")]

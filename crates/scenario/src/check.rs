@@ -52,8 +52,7 @@ impl Scenario {
         self.check_users()?;
         let points = self.led.positions_m.len() * self.led.points_per_side.pow(2);
         // An empty list stands for a preset; see `build`.
-        let users = self.users.arrivals.as_ref().map_or(self.users.count, |arrivals| arrivals.max_users);
-        let rays = points * self.mirror_count() * users * self.receiver.branches.len().max(1);
+        let rays = points * self.mirror_count() * self.users.largest() * self.receiver.branches.len().max(1);
         count("led.points_per_side (points x mirrors x users x branches)", rays, 1..=RAYS_MAX)?;
         self.check_runtime()
     }

@@ -308,6 +308,11 @@ impl Default for Users {
 }
 
 impl Users {
+    /// The largest number of users in the room: `count`, or with arrivals their `max_users`.
+    pub fn largest(&self) -> usize {
+        self.arrivals.as_ref().map_or(self.count, |arrivals| arrivals.max_users)
+    }
+
     /// How each group of users holds its receivers: the key of the table, and the table; `None` where the
     /// receivers face up. A recorded walk has no entries of a mixture.
     pub fn orientations(&self) -> Vec<(String, Option<&UserOrientation>)> {

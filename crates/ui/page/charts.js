@@ -84,6 +84,10 @@ export class Charts {
     // The legend of the line's earlier colours, above the lines of the chart, which keeps its size.
     this.earlier = Object.assign(document.createElement("p"), { className: "earlier", hidden: true });
     this.sum.append(this.earlier);
+    // What an empty chart says.
+    const empty = (chart, text) => chart.appendChild(Object.assign(document.createElement("p"), { className: "empty", textContent: text, hidden: true }));
+    this.noSums = empty(this.sum, `no sum rates in the last ${SPAN_S} s`);
+    this.noDecisions = empty(this.latency, "no decisions in the last 30 s");
     this.redraw = new RedrawLimiter(500);
     const observer = new ResizeObserver(() => {
       this.redraw.reset();
@@ -128,12 +132,14 @@ export class Charts {
     }
   }
 
+  // A reference that the mirrors follow as their policy is named apart from its line.
   lines() {
+    const reference = (policy, name) => (this.followed.name === policy ? `${name} (reference)` : name);
     return [
       ["policy", nameOf(this.followed), this.colourOf(this.followed), [], 2.5],
-      ["no_irs", "no IRS", "#bbbbbb", [], 1.5],
-      ["flat", "flat", this.flat, [2, 3], 1.5],
-      ["oracle", "oracle", this.ink, [6, 4], 1.2],
+      ["no_irs", reference("no-irs", "no IRS"), "#bbbbbb", [], 1.5],
+      ["flat", reference("flat", "flat"), this.flat, [2, 3], 1.5],
+      ["oracle", reference("oracle", "oracle"), this.ink, [6, 4], 1.2],
     ];
   }
 
@@ -183,12 +189,10 @@ export class Charts {
 
   // The names and colours of the line with the mirrors before the present ones, each with its end.
   showEarlier() {
-    // The reasons for which no policy was followed have one colour.
-    const named = (stretch) => (stretch.name && stretch.idle ? "no policy followed" : nameOf(stretch));
     const earlier = new Map(this.stretches.map((stretch, index) => [
-      named(stretch), { colour: this.colourOf(stretch), end_s: -(this.stretches[index + 1]?.from_s ?? 0) },
+      nameOf(stretch), { colour: this.colourOf(stretch), end_s: -(this.stretches[index + 1]?.from_s ?? 0) },
     ]));
-    earlier.delete(named(this.followed));
+    earlier.delete(nameOf(this.followed));
     const before = this.earlier.offsetHeight;
     this.earlier.hidden = earlier.size === 0;
     this.earlier.replaceChildren(...[...earlier].map(([name, { colour, end_s }]) => {
@@ -250,6 +254,7 @@ export class Charts {
     const points = withGaps(this.past);
     this.stretches = stretches(this.past, now_s);
     this.showEarlier();
+    this.noSums.hidden = this.past.some(({ time_s }) => now_s - time_s <= SPAN_S);
     const data = [points.map((point) => point.time_s - now_s), ...lines.map(([key]) => points.map((point) => point[key] ?? null))];
     if (this.sumPlot) return this.show(this.sumPlot, this.sum, data);
     const text = (index) => {
@@ -274,6 +279,7 @@ export class Charts {
   drawLatency({ edges_us, counts }) {
     const total = counts.reduce((sum, count) => sum + count, 0);
     const within = edges_us.filter((edge) => edge <= this.budget).length;
+    this.noDecisions.hidden = total > 0;
     this.edges = edges_us;
     const shares = counts.map((count) => (total ? (100 * count) / total : 0));
     const data = [

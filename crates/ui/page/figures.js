@@ -8,6 +8,20 @@ export const setText = (element, text) => { if (element.textContent !== text) el
 const setTitle = (element, text) => { if (element.title !== text) element.title = text; };
 const setClass = (element, name) => { if (element.className !== name) element.className = name; };
 
+// The sentence and the width of the window for which its size was chosen; digits have one width.
+let fitted = "";
+
+// The sentence above the picture. One that does not fit its line has two smaller ones of the same height.
+export function showSentence(text) {
+  const sentence = at("sentence");
+  setText(sentence, text);
+  const place = `${text.replace(/\d/g, "0")} ${innerWidth}`;
+  if (place === fitted) return;
+  fitted = place;
+  sentence.classList.remove("long");
+  sentence.classList.toggle("long", sentence.scrollHeight > sentence.clientHeight);
+}
+
 // A narrow window cuts the text off; the tooltip has it, or more.
 function chip(id, text, state = "", title = text) {
   setText(at(id), text);
@@ -145,7 +159,8 @@ function list(element, entries) {
   });
 }
 
-// What the rows of times mean.
+// What the rows of times mean. Those in `DECIDED` also need position reports: without them no decision is timed.
+const DECIDED = ["decision", "age"];
 const TIMES = {
   decision: "From the arrival of a position report in the controller to the end of the publication of its commands.",
   loop: "From the publication of a position report by the simulator to the arrival of its command at the array.",
@@ -159,7 +174,7 @@ function quantiles(times) {
   const body = at("quantiles").tBodies[0];
   times.forEach(({ name, of, us }, index) => {
     const row = body.rows[index] ?? body.insertRow();
-    row.dataset.from = of;
+    row.dataset.from = DECIDED.includes(name) ? `${of} room` : of;
     if (!row.cells[0]) {
       const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIMES[name], textContent: name });
       row.insertCell().append(explained);

@@ -18,6 +18,9 @@ const BUTTONS = {
   "restart-controller": "restart", power: "optical power", speed: "walking speed", blocked: "blocked direct paths",
 };
 
+// The names of buttons whose ids differ, in the line about the disabled ones.
+const BUTTON_NAMES = { "switch-policy": "switch", rearm: "re-arm", stick: "mirrors", release: "mirrors" };
+
 // A message of the page about an order that the server did not answer.
 export const notConfirmed = (order, reason) =>
   `not confirmed: ${BUTTONS[order]}: ${reason}; ${order === "stop" ? "run `heliostat stop`, or cut the power of the mirrors" : CHECK_SERVER}`;
@@ -35,6 +38,22 @@ export function tooFew(users, present) {
   return present === 0 ? "no user is in the room" : `only ${present} ${present === 1 ? "user is" : "users are"} in the room`;
 }
 
+// What a phone says below the orders: the names of the disabled ones with their reasons, empty without any.
+export function notTaken(disabled) {
+  const named = new Map();
+  for (const [name, why] of disabled) named.set(why, (named.get(why) ?? new Set()).add(name));
+  const texts = [...named].map(([why, names]) => `${[...names].join(", ")} (${why})`);
+  return texts.length ? `Disabled: ${texts.join("; ")}.` : "";
+}
+
+// Whether every array answers, and none reports a stop: a re-arm would release nothing. Where the number of arrays is not
+// announced, this is unknown.
+function isStopFree(plan, { stop, array, ages_s }) {
+  const areHeard = plan.geometry_source !== "default" && !array.silent.length && ages_s.array != null && ages_s.array <= STALE_S;
+  const isOpen = stop.stops.length || stop.held || stop.problems.length || stop.lost.length || array.state.includes("stopped");
+  return areHeard && !isOpen && (stop.phase === "none" || stop.phase === "released");
+}
+
 // Why the buttons of each order are disabled, empty where they are not; `now` is null before the first figures. STOP is
 // always enabled.
 const AWAITED = "the page waits for the first figures of its server";
@@ -45,7 +64,7 @@ export function reasons(plan, now, policy) {
   const absent = now.controller_alive ? "" : "the page sees no controller";
   const silent = now.origin === "no-data" ? "the room does not report" : "only a simulated room takes this order";
   return {
-    rearm: limit,
+    rearm: limit || (isStopFree(plan, now) ? "no array reports an emergency stop" : ""),
     policy: limit || absent || (policy ? "" : "no policy is chosen"),
     room: limit || (now.origin === "simulated" ? "" : silent),
     kill: foreign || absent,
@@ -91,27 +110,30 @@ export class Orders {
     for (const [button, watts] of this.power) button.dataset.title = `each LED transmits ${watts} W of light`;
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     for (const [button, max_m_s] of this.speed) button.dataset.title = max_m_s ? `users walk at ${max_m_s} m/s at most` : "users stand still";
-    // All of them at all times: users who come or go move no button.
-    const choices = Array.from({ length: BLOCKED_MAX + 1 }, (_, users) => [`${users}`, users]);
+    // All that the room can have at all times: users who come or go move no button.
+    const choices = Array.from({ length: Math.min(plan.users_max ?? BLOCKED_MAX, BLOCKED_MAX) + 1 }, (_, users) => [`${users}`, users]);
     this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
     for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     this.enable(null);
   }
 
-  // Enables the buttons that act, and gives the others the reason as their tooltip; on a phone a line has that of the room.
+  // Enables the buttons that act, and gives the others the reason as their tooltip; on a phone a line has the reasons.
   enable(now) {
     const reason = reasons(this.plan, now, this.select.value);
-    const set = (button, why) => {
+    const disabled = [];
+    const set = (button, why, name = BUTTON_NAMES[button.id] ?? button.id) => {
       button.disabled = why !== "";
       button.title = why || (button.dataset.title ?? "");
+      if (why) disabled.push([name, why]);
     };
     const of = (id) => document.getElementById(id);
-    const ofRoom = [...this.power, ...this.speed].map(([button]) => button);
-    for (const button of [...ofRoom, of("stick"), of("release")]) set(button, reason.room);
-    for (const [button, users] of this.blocked) set(button, reason.room || tooFew(users, now.users.length));
-    for (const id of ["rearm", "kill", "restart"]) set(of(id), reason[id]);
+    for (const [button] of this.power) set(button, reason.room, "optical power");
+    for (const [button, users] of this.blocked) set(button, reason.room || tooFew(users, now.users.length), reason.room ? "direct paths" : `${users}`);
+    for (const [button] of this.speed) set(button, reason.room, "walking speed");
+    for (const id of ["stick", "release"]) set(of(id), reason.room);
     set(of("switch-policy"), reason.policy);
-    const note = reason.room && `Disabled buttons: ${reason.room}.`;
+    for (const id of ["kill", "restart", "rearm"]) set(of(id), reason[id]);
+    const note = notTaken(disabled);
     if (this.note.textContent !== note) this.note.textContent = note;
   }
 
@@ -128,7 +150,8 @@ export class Orders {
     const isKnown = isReporting(now);
     // Users come and go: the first ones of the table are named.
     for (const [button, users] of this.blocked) button.dataset.title = blockedTitle(now.users.slice(0, users));
-    pressed(this.blocked, isKnown ? now.users.filter((user) => user.forced).length : null);
+    // A real room takes no such order.
+    pressed(this.blocked, isKnown && now.origin === "simulated" ? now.users.filter((user) => user.forced).length : null);
     pressed(this.power, isKnown ? now.power_w : null);
     pressed(this.speed, isKnown ? now.speed_m_s : null);
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";

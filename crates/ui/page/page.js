@@ -8,7 +8,7 @@ import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, endBanner, isNewer, lastSentence, sentence, spoken } from "./sentence.js";
-import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
+import { at, chips, clearProblems, counters, problems, setText, showSentence, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
 import { openTips } from "./tips.js";
@@ -47,7 +47,7 @@ function showAges(state) {
   const { now, ages, room, frame, ended, network, orders } = state;
   showBanner(state);
   orders.age(ages.silence);
-  setText(at("sentence"), ended ? lastSentence : sentence(now, ages.of("room"), room.shown, frame));
+  showSentence(ended ? lastSentence : sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
   chips(now, ages, network);
@@ -113,7 +113,7 @@ async function start() {
   const state = { now: null, users: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network, orders };
   const outages = new Outages();
   const show = () => showAges(state);
-  state.ages = new Ages(show);
+  state.ages = new Ages(show, () => room.pictureAge);
   const showUsers = () => {
     if (!state.users) return;
     users(state.users, room.shown, state.frame, outages);

@@ -21,6 +21,8 @@ export class Room {
     // Pictures drawn since the start, for tests.
     this.frames = 0;
     this.nextDraw = 0;
+    // When the first frame arrived that no picture shows yet, and the first of the picture that is being painted, in ms.
+    this.awaiting = this.painting = null;
     const changed = () => { this.isDirty = true; };
     const bounds = boundsOf(plan);
     // Covers the canvas until it has a picture: a browser may show an empty one as black.
@@ -56,8 +58,16 @@ export class Room {
   }
 
   update(frame) {
-    this.motion.take(frame, performance.now());
+    const now = performance.now();
+    this.motion.take(frame, now);
+    this.awaiting ??= now;
     this.isDirty = true;
+  }
+
+  // For how long, in s, the picture lacks a frame that has arrived.
+  get pictureAge() {
+    const since = this.painting ?? this.awaiting;
+    return since === null || !this.awaited.hidden ? 0 : (performance.now() - since) / 1000;
   }
 
   show(name, isShown) {
@@ -102,12 +112,15 @@ export class Room {
       // One more picture after the last change shows its end.
       this.wasMoving = this.motion.isMoving(now);
       this.isDirty = false;
+      this.painting ??= this.awaiting;
+      this.awaiting = null;
       this.draw(now, seconds);
       const begun = performance.now();
       const hasRoom = this.motion.to !== null;
       // The second callback runs after the picture was painted.
       requestAnimationFrame(() => requestAnimationFrame((painted) => {
         if (hasRoom) this.awaited.hidden = true;
+        this.painting = null;
         const took = painted - begun;
         this.nextDraw = took > SLOW_MS ? painted + PAUSE * took : 0;
       }));

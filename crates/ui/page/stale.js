@@ -2,10 +2,13 @@
 import { STALE_S, duration, noReport } from "./sentence.js";
 
 const CHECK_EVERY_MS = 200;
+// A picture may lack the newest frame for this time in s: a machine without a graphics card draws slowly.
+const PICTURE_LATE_S = 3;
 
 export class Ages {
-  // Calls `changed` several times a second, with events and without.
-  constructor(changed) {
+  // Calls `changed` several times a second, with events and without. `picture` gives the age of the picture in s.
+  constructor(changed, picture = () => 0) {
+    this.picture = picture;
     this.arrived = performance.now();
     this.now = null;
     setInterval(changed, CHECK_EVERY_MS);
@@ -25,12 +28,13 @@ export class Ages {
   of(process) {
     // The server sends an event several times a second; the page counts by itself.
     if (process === "server" || process === "page") return this.silence;
+    if (process === "picture") return this.picture();
     const age = this.now?.ages_s[process];
     return age == null ? Infinity : age + this.silence;
   }
 
   isStale(process) {
-    return this.of(process) > STALE_S;
+    return this.of(process) > (process === "picture" ? PICTURE_LATE_S : STALE_S);
   }
 
   // Whether a process has never reported: what it would report is unknown, and nothing is wrong with it yet.
@@ -38,15 +42,15 @@ export class Ages {
     return this.of(process) === Infinity;
   }
 
-  // Marks the parts and the single figures that show old values; the style sheet writes their age beside them. Before
-  // the first figures there are none.
+  // Marks the parts and the single figures that show old values; the style sheet writes their age beside them: that of
+  // the oldest of their sources. Before the first figures there are none.
   mark() {
     if (!this.now) return;
     for (const part of document.querySelectorAll("[data-from]")) {
-      const age = this.of(part.dataset.from);
-      part.classList.toggle("stale", age > STALE_S);
+      const age = Math.max(0, ...part.dataset.from.split(" ").filter((of) => this.isStale(of)).map((of) => this.of(of)));
+      part.classList.toggle("stale", age > 0);
       part.classList.toggle("unknown", age === Infinity);
-      const text = age <= STALE_S ? "" : age === Infinity ? noReport(age) : `${duration(age)} old`;
+      const text = age === 0 ? "" : age === Infinity ? noReport(age) : `${duration(age)} old`;
       if (part.dataset.age !== text) part.dataset.age = text;
     }
   }

@@ -285,6 +285,8 @@ struct RoomJson {
     #[serde(skip_serializing_if = "Option::is_none")]
     stop_only: Option<&'static str>,
     network: Option<NetworkFile>,
+    /// The largest number of users of the room; `null` where no scenario is given.
+    users_max: Option<usize>,
     budget_us: u64,
     history: Vec<(f64, PastSum)>,
 }
@@ -306,6 +308,7 @@ fn room_json(page: &Page) -> serde_json::Result<String> {
         controls_processes: page.operator.controls_processes(),
         stop_only: page.operator.rights().limit(),
         network: page.network.clone(),
+        users_max: page.view.users_max(),
         budget_us: BUDGET_US,
         history: page.view.history(),
     };

@@ -136,6 +136,12 @@ impl View {
         scenario
     }
 
+    /// The largest number of users of the given scenario; `None` without one: an announced geometry has no users.
+    pub(crate) fn users_max(&self) -> Option<usize> {
+        let room = self.shown_room();
+        (room.source == GeometrySource::Given).then(|| room.scenario.users.largest())
+    }
+
     fn announcements(&self) -> Announcements {
         self.received().announcements()
     }

@@ -105,6 +105,15 @@ fn the_number_of_blocked_paths_is_unknown_while_the_room_is_silent() {
     assert_eq!(browser.run(buttons), before);
     setting.room.signal("CONT");
     wait_until("the number again", || browser.run(pressed) == serde_json::json!(["2"]));
+    // A real room takes no such order. In one step, before the next figures.
+    let of_real = "return Promise.all([import('/orders.js'), ...['room', 'events'].map((name) => fetch(`/${name}.json`).then((answer) => answer.json()))]) \
+           .then(([{ Orders }, plan, { figures }]) => { \
+             const orders = new Orders(); \
+             orders.open(plan); \
+             return ['simulated', 'real'].map((origin) => { \
+               orders.update({ ...figures, origin, users: figures.users.map((user) => ({ ...user, forced: false })) }); \
+               return document.querySelectorAll('#blocked [aria-pressed=true]').length; }); })";
+    assert_eq!(browser.run(of_real), serde_json::json!([1, 0]));
 }
 
 #[needs("browser")]
@@ -124,6 +133,72 @@ fn the_chart_of_the_sum_rates_has_what_the_server_kept_while_the_page_received_n
            await new Promise((resolve) => setTimeout(resolve)); \
            return [asked, charts.past.map(({ time_s }) => time_s)]; })";
     assert_eq!(browser.run(asked), serde_json::json!([1, [0, 1, 3, 5, 6]]));
+}
+
+#[needs("browser")]
+#[test]
+fn a_chart_without_figures_says_since_when_and_the_times_of_decisions_age_with_the_reports() {
+    let (_setting, browser) = Setting::shown();
+    // In one step, before the next figures.
+    let script = "return Promise.all([import('/charts.js'), import('/stale.js'), import('/figures.js')]).then(([{ Charts }, { Ages }, { counters }]) => { \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
+           charts.theme(); \
+           const shown = () => [charts.noSums, charts.noDecisions].map((part) => (part.checkVisibility() ? part.textContent : '')); \
+           const draw = (time_s, count) => { charts.drawSum(time_s); charts.drawLatency({ edges_us: [100], counts: [count, 0] }); return shown(); }; \
+           const empty = draw(0, 0); \
+           charts.past = [{ time_s: 5, name: 'greedy', idle: false, policy: 1 }]; \
+           const [full, old] = [draw(95, 1), draw(96, 1)]; \
+           const times = ['decision', 'loop', 'age'].map((name) => ({ name, of: name === 'loop' ? 'room' : 'controller', us: null })); \
+           const now = { times, late: null, array: { silent: [], arrays: 1, faults: [] }, counts: [], tracker_noise: null, light: [], controllers: [] }; \
+           counters(now); \
+           const ages = new Ages(() => {}); \
+           const aged = (room) => { \
+             ages.take({ ages_s: { room, controller: 0.1, array: 0.1 } }); \
+             ages.mark(); \
+             return [...document.querySelectorAll('#quantiles tbody tr')].map((row) => (row.classList.contains('stale') ? row.dataset.age : '')); }; \
+           return [empty, full, old, aged(12), aged(0.1)]; })";
+    let sums = "no sum rates in the last 90 s";
+    let expected = serde_json::json!([
+        [sums, "no decisions in the last 30 s"],
+        ["", ""],
+        [sums, ""],
+        ["12 s old", "12 s old", "12 s old"],
+        ["", "", ""],
+    ]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn a_line_of_the_sum_rates_keeps_its_name_and_a_reference_that_is_the_policy_has_another() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/charts.js').then(({ Charts }) => { \
+           const charts = new Charts({ budget_us: 500, history: [] }, async () => []); \
+           charts.theme(); \
+           charts.followed = { name: 'stopped', idle: true }; \
+           const present = charts.lines()[0][1]; \
+           charts.past = [{ time_s: 1, ...charts.followed }, { time_s: 4, name: 'flat', idle: false }]; \
+           charts.followed = { name: 'flat', idle: false }; \
+           charts.drawSum(10); \
+           return [present, charts.earlier.textContent, charts.lines().map(([, name]) => name)]; })";
+    let expected =
+        serde_json::json!(["stopped", "stopped until 6 s ago", ["flat", "no IRS", "flat (reference)", "oracle"]]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn a_late_picture_has_its_age_until_a_new_one_is_painted() {
+    let (_setting, browser) = Setting::shown();
+    let card = "const card = document.getElementById('room-card'); const isOld = card.classList.contains('stale'); ";
+    // As on a machine that draws slowly. The figures of the room stay current.
+    let slow = format!(
+        "{card} document.getElementById('room').room.nextDraw = Infinity; \
+         return [isOld && card.dataset.age.endsWith(' old'), document.getElementById('rates').classList.contains('stale')]"
+    );
+    wait_until("the age of the picture", || browser.run(&slow) == serde_json::json!([true, false]));
+    let fast = format!("{card} document.getElementById('room').room.nextDraw = 0; return isOld");
+    wait_until("a new picture", || browser.run(&fast) == false);
 }
 
 #[needs("browser")]

@@ -85,6 +85,37 @@ fn the_name_of_the_room_is_complete_in_a_narrow_window() {
         browser.resize(width, height);
         assert_eq!(browser.run(complete), json!([true, true]), "{width} x {height}");
     }
+    // Beside the states of a room in which something is wrong. In one script, before the next figures.
+    for states in [["following, 25 unusable", "simulated"], ["no report for 119 min", "no report for 119 min"]] {
+        let wrong = format!(
+            "const [array, room] = {}; document.getElementById('chip-policy').textContent = 'greedy (idle)'; \
+             document.getElementById('chip-array').textContent = array; document.getElementById('chip-room').textContent = room; {complete}",
+            json!(states)
+        );
+        for (width, height) in [(1280, 800), (1440, 900)] {
+            browser.resize(width, height);
+            assert_eq!(browser.run(&wrong), json!([true, true]), "{states:?} at {width} x {height}");
+        }
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn a_long_sentence_is_complete_and_moves_nothing() {
+    let (_setting, browser) = Setting::shown();
+    // In one step, before the next figures.
+    let script = "return import('/figures.js').then(({ showSentence }) => { \
+           const at = (id) => document.getElementById(id); \
+           const shown = (text) => { showSentence(text); const { scrollHeight, clientHeight } = at('sentence'); \
+             return [at('headline').clientHeight, at('room-card').getBoundingClientRect().top, scrollHeight <= clientHeight]; }; \
+           const [short, ...long] = ['Mirrors add 12 Mbit/s.', \
+             'Mirrors add nothing to the sum rate. 3 of 5 users are below the minimum rate.', \
+             'The modelled sum rate is 45 Mbit/s, and 12 without the mirrors. No receiver reports the gains of its user.'].map(shown); \
+           return long.every((one) => one.every((value, index) => value === short[index])); })";
+    for (width, height) in [(900, 768), (1024, 768), (1280, 800), (1920, 1080)] {
+        browser.resize(width, height);
+        assert_eq!(browser.run(script), true, "{width} x {height}");
+    }
 }
 
 #[needs("browser")]

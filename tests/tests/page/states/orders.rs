@@ -25,8 +25,8 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
         browser.text("#problem").is_empty() && browser.text("#order-status").is_empty()
     });
 
-    // A re-arm without a stop has no effect, and the page does not claim one.
-    browser.click("#rearm");
+    // A re-arm without a stop, which the button of the page does not send, has no effect, and the page does not claim one.
+    order(&browser, "{ order: 'rearm', stops: [] }");
     wait_until("a refusal", || {
         browser.text("#order-status").contains("re-arm: refused: no array that answers reports an emergency stop")
     });

@@ -140,7 +140,8 @@ fn every_order_but_stop_is_disabled_with_the_reason_until_the_first_figures() {
              const reasons = new Set(all(document).filter(({ disabled }) => disabled).map(({ title }) => title)); \
              return [served, enabled(document), [...reasons], document.getElementById('not-taken').textContent]; })";
     let reason = "the page waits for the first figures of its server";
-    let expected = json!([["stop"], ["stop"], [reason], format!("Disabled buttons: {reason}.")]);
+    let names = "optical power, direct paths, walking speed, mirrors, switch, kill, restart, re-arm";
+    let expected = json!([["stop"], ["stop"], [reason], format!("Disabled: {names} ({reason}).")]);
     assert_eq!(browser.run(enabled), expected);
 }
 
@@ -149,7 +150,9 @@ fn every_order_but_stop_is_disabled_with_the_reason_until_the_first_figures() {
 fn a_disabled_order_has_its_own_reason() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/orders.js').then(({ reasons }) => { \
-           const of = (plan, now, policy = 'greedy') => Object.values(reasons(plan, { origin: 'simulated', controller_alive: true, ...now }, policy)); \
+           const known = { origin: 'simulated', controller_alive: true, ages_s: { array: null }, array: { silent: [0], state: 'no report' }, \
+             stop: { phase: 'none', stops: [], held: null, problems: [], lost: [] } }; \
+           const of = (plan, now, policy = 'greedy') => Object.values(reasons(plan, { ...known, ...now }, policy)); \
            const [demo, ui] = [{ controls_processes: true }, { controls_processes: false }]; \
            return [of(demo, {}), of(demo, { controller_alive: false }), of(demo, {}, ''), of(demo, { origin: 'real' }), \
              of(ui, { origin: 'no-data' }), of({ ...ui, stop_only: 'a viewer' }, {})]; })";
@@ -164,6 +167,74 @@ fn a_disabled_order_has_its_own_reason() {
         ["a viewer", "a viewer", "a viewer", foreign, foreign],
     ]);
     assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
+fn a_rearm_is_disabled_only_where_every_array_answers_and_reports_no_stop() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/orders.js').then(({ reasons }) => { \
+           const now = { origin: 'real', controller_alive: true, ages_s: { array: 0.1 }, array: { silent: [], state: 'following' } }; \
+           const none = { phase: 'none', stops: [], held: null, problems: [], lost: [] }; \
+           const of = (more = {}, stop = {}, plan = {}) => reasons(plan, { ...now, ...more, stop: { ...none, ...stop } }, 'greedy').rearm; \
+           const acts = [of({ ages_s: { array: 3 } }), of({ ages_s: { array: null } }), of({ array: { silent: [1], state: 'following' } }), \
+             of({ array: { silent: [], state: 'stopped' } }), of({}, { phase: 'requested' }), of({}, { stops: [{}] }), of({}, { held: 'a stop' }), \
+             of({}, { phase: 'released', lost: ['a driver'] }), of({}, { problems: ['open'] }), of({}, {}, { geometry_source: 'default' })]; \
+           return [of(), of({}, { phase: 'released' }), ...new Set(acts)]; })";
+    let none = "no array reports an emergency stop";
+    assert_eq!(browser.run(script), json!([none, none, ""]));
+    let shown = "const { disabled, title } = document.getElementById('rearm'); return [disabled, title]";
+    wait_until("a room without a stop", || browser.run(shown) == json!([true, none]));
+    browser.click("#stop");
+    wait_until("a stop that can be released", || browser.run(shown)[0] == json!(false));
+}
+
+#[needs("browser")]
+#[test]
+fn a_phone_names_each_disabled_button_with_its_reason() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/orders.js').then(({ notTaken }) => \
+           [notTaken([]), notTaken([['6', 'few'], ['mirrors', 'real'], ['7', 'few'], ['mirrors', 'real']])])";
+    assert_eq!(browser.run(script), json!(["", "Disabled: 6, 7 (few); mirrors (real)."]));
+    // What a demo shows after its button `kill`. In one step, before the next figures. Its line has a place without a text too.
+    let killed = "return Promise.all([import('/orders.js'), ...['room', 'events'].map((name) => fetch(`/${name}.json`).then((answer) => answer.json()))]) \
+           .then(([{ Orders }, plan, { figures }]) => { \
+             const orders = new Orders(); \
+             orders.open({ ...plan, controls_processes: true, users_max: 5 }); \
+             const now = { ...figures, users: Array.from({ length: 5 }, (_, user) => ({ ...figures.users[0], user })), \
+               ages_s: { ...figures.ages_s, array: null } }; \
+             const note = document.getElementById('not-taken'); \
+             const [height, text] = [() => document.getElementById('operate').clientHeight, () => note.checkVisibility() ? note.textContent : null]; \
+             orders.update(now); \
+             const [before, empty] = [height(), text()]; \
+             orders.update({ ...now, controller_alive: false }); \
+             return [empty, text(), height() === before]; })";
+    browser.resize(390, 844);
+    assert_eq!(browser.run(killed), json!(["", "Disabled: switch, kill (the page sees no controller).", true]));
+}
+
+#[needs("browser")]
+#[test]
+fn the_buttons_for_blocked_paths_are_as_many_as_the_scenario_has_users_and_none_is_alone_in_a_line() {
+    let setting = Setting::with(&["--set", "users.count=3"]);
+    let browser = setting.browser();
+    let buttons = "return [...document.querySelectorAll('#blocked button')].map(({ dataset }) => dataset.value)";
+    assert_eq!(browser.run(buttons), json!(["0", "1", "2", "3"]));
+    // The lengths of the lines for the largest number of users. In one step, before the next figures.
+    let lines = "return Promise.all([import('/orders.js'), fetch('/room.json').then((answer) => answer.json())]).then(([{ Orders }, plan]) => \
+           [null, 64, 8, 7, 6, 5].map((users_max) => { \
+             new Orders().open({ ...plan, users_max }); \
+             const lines = new Map(); \
+             for (const button of document.querySelectorAll('#blocked button')) { \
+               const { top } = button.getBoundingClientRect(); lines.set(top, (lines.get(top) ?? 0) + 1); } \
+             return [...lines.values()]; }))";
+    for (width, height) in [(390, 844), (360, 640)] {
+        browser.resize(width, height);
+        let expected = json!([[5, 4], [5, 4], [5, 4], [5, 3], [7], [6]]);
+        assert_eq!(browser.run(lines), expected, "{width} x {height}");
+    }
+    browser.resize(1280, 800);
+    assert_eq!(browser.run(lines), json!([[9], [9], [9], [8], [7], [6]]));
 }
 
 #[needs("browser")]

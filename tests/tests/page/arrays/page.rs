@@ -66,8 +66,8 @@ fn the_page_names_the_array_whose_driver_has_left() {
     let _turn = Turn::wait();
     let folder = tempfile::tempdir().expect("a folder");
     let file = scenario_file(folder.path());
-    let endpoints: Vec<String> = (0..3).map(|_| private_endpoint().expect("an endpoint")).collect();
-    let [first, second, of_controller] = &endpoints[..] else { unreachable!("three endpoints") };
+    let endpoints: Vec<String> = (0..4).map(|_| private_endpoint().expect("an endpoint")).collect();
+    let [first, second, of_controller, of_tracker] = &endpoints[..] else { unreachable!("four endpoints") };
     let config = || BusConfig::new(Room::new("shown").expect("a valid name"));
     let [both, later] = [Stop::default(), Stop::default()];
     std::thread::scope(|scope| {
@@ -82,8 +82,10 @@ fn the_page_names_the_array_whose_driver_has_left() {
         let flags = ["controller", "--scenario", &file, "--room", "shown", "--listen", of_controller];
         let policy = ["--connect", first, "--connect", second, "--policy", "fixed-point", "--exit-with-parent"];
         let _controller = Process::heliostat(&[&flags[..], &policy].concat());
-        let _tracker = Tracker::start(&config().connect_to(of_controller).connect_to(first));
-        let server = page("shown", &[first, second, of_controller]);
+        // Peers forward no reports, so that the page is connected to the tracker too.
+        let tracked = config().listen_at(of_tracker).connect_to(of_controller).connect_to(first);
+        let _tracker = Tracker::start(&tracked);
+        let server = page("shown", &[first, second, of_controller, of_tracker]);
         let browser = Browser::open_flat(&server.url());
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
         let unusable = || shown(&browser, "room.motion.to?.unusable");

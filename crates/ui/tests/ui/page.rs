@@ -1,6 +1,7 @@
 //! The live page against clients that are slow, idle or do not read.
 
 use std::collections::BTreeSet;
+use std::error::Error;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
 use std::sync::Arc;
@@ -255,7 +256,9 @@ fn a_token_file_guards_a_page_on_any_address() {
         Setting::start("file", &Place { token_file: Some(file.clone()), ..Place::loopback(0) })
     };
     for unusable in ["", "short", "0123456789abcdef 0123456789abcdef", "0123456789abcdef;"] {
-        assert!(start(unusable).is_err_and(|error| error.to_string().contains("expected at least 16")), "{unusable:?}");
+        let refusal = start(unusable).err().expect("no token");
+        let cause = refusal.source().expect("the problem of the file").to_string();
+        assert!(cause.contains("expected at least 16"), "{unusable:?}: {cause}");
     }
     let setting = start("0123456789abcdefXYZ\n").unwrap();
     std::fs::remove_file(&file).unwrap();

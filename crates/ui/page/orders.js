@@ -47,10 +47,10 @@ export function notTaken(disabled) {
 }
 
 // Whether every array answers, and none reports a stop: a re-arm would release nothing. Where the number of arrays is not
-// announced, this is unknown.
+// announced, or a fault of one hides the state of another, this is unknown.
 function isStopFree(plan, { stop, array, ages_s }) {
   const areHeard = plan.geometry_source !== "default" && !array.silent.length && ages_s.array != null && ages_s.array <= STALE_S;
-  const isOpen = stop.stops.length || stop.held || stop.problems.length || stop.lost.length || array.state.includes("stopped");
+  const isOpen = stop.stops.length || stop.held || stop.problems.length || stop.lost.length || /stopped|fault/.test(array.state);
   return areHeard && !isOpen && (stop.phase === "none" || stop.phase === "released");
 }
 

@@ -82,7 +82,7 @@ class SettingsError(PeerError):
 def end_for(problem: PeerError | ValueError) -> NoReturn:
     """Ends a program with the reason in one line."""
     print(f"error: {problem}", file=sys.stderr)
-    sys.exit(problem.status if isinstance(problem, PeerError) else 1)
+    sys.exit(problem.status if isinstance(problem, PeerError) else USAGE)
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ mod tests {
         };
         assert_eq!(refusal(&absent), format!("no process answers at {absent}. Give --connect"));
         let client = BusConfig { role: Role::Client, ..config.clone().connect_to(&absent) };
-        let refused = join(&client, Duration::from_secs(3600)).err().expect("no process is there");
+        let refused = join(&client, Duration::from_secs(60)).err().expect("no process is there");
         let expected = format!("no process answers at {absent}. Give --connect");
         assert_eq!(refused.with_advice("Give --connect"), expected, "at once, and not after the limit");
         let refused = refusal(&frozen);

@@ -140,7 +140,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     });
     note_unverified(switch);
     let Some(end) = end else {
-        let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release)?;
+        let unrecorded = args.order.report(&room, switch, (stopped?, begun), &release, false)?;
         let closed = order.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
@@ -148,7 +148,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     // Before the notes: a signal that answers them ends the stop as one that is held.
     order.note_held();
     let note = |error: &dyn Display| output::note(format_args!("heliostat stop: {error}; {HELD}"));
-    let report = |took| match args.order.report(&room, switch, (took, begun), &release) {
+    let report = |took| match args.order.report(&room, switch, (took, begun), &release, true) {
         Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
         Err(error) => note(&error),
     };
@@ -176,7 +176,10 @@ pub fn stop(args: StopArgs) -> Result<()> {
         }
     }
     let (is_held, is_confirmed) = (switch.is_own_held(), switch.is_own_confirmed());
-    was_confirmed |= is_confirmed;
+    if is_confirmed && !was_confirmed {
+        report(begun.elapsed());
+        was_confirmed = true;
+    }
     if !is_held {
         let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
         output::note(format_args!("heliostat stop: the stop is released{rest}"));
@@ -267,10 +270,11 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     switch.lost_devices().into_iter().for_each(output::note);
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
-    let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost);
+    let rest = still_stopped(&further).map(|rest| format!("{rest}; {LOOK_AND_REPEAT}"));
+    let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost, rest.as_deref());
     let closed = order.close();
-    if let Some(rest) = still_stopped(&further) {
-        bail!("{rest}; {LOOK_AND_REPEAT}");
+    if let Some(rest) = rest {
+        bail!(rest);
     }
     written?;
     Ok(closed?)
@@ -321,6 +325,7 @@ impl OrderArgs {
         switch: &StopSwitch,
         (took, begun): (Duration, Instant),
         release: &Release,
+        is_held: bool,
     ) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
         let own = switch.own_name();
@@ -329,6 +334,10 @@ impl OrderArgs {
             let unrecorded = find_unrecorded();
             let mut result = to_json(room, "stopped", Some(took), [&own_first(stops, own).0, stops]);
             result["unrecorded"] = json!(unrecorded);
+            // A command that holds the stop goes on.
+            if !unrecorded.is_empty() && !is_held {
+                result["error"] = json!(unrecorded.join("; "));
+            }
             (output::outcome(result), unrecorded)
         } else {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
@@ -350,6 +359,7 @@ impl OrderArgs {
         took: Duration,
         [released, held]: [&[RoomStop]; 2],
         lost: &[String],
+        error: Option<&str>,
     ) -> Result<()> {
         let text = if self.json {
             let array = match (held.is_empty(), may_follow(released)) {
@@ -359,6 +369,9 @@ impl OrderArgs {
             };
             let mut result = to_json(room, array, Some(took), [released, held]);
             result["lost"] = json!(lost);
+            if let Some(error) = error {
+                result["error"] = json!(error);
+            }
             result.to_string()
         } else {
             with_stops(release_in_words(room.name(), took, released, held), "released", released)

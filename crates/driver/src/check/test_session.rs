@@ -27,9 +27,6 @@ use super::room_in_use::is_commanded;
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// Timeout of a query for the capabilities of another array.
-const OTHERS_WITHIN: Duration = Duration::from_millis(500);
-
 /// Telemetry messages within which each driver of the array has reported.
 const SOURCES_WITHIN: usize = 10;
 
@@ -89,7 +86,8 @@ fn without_capabilities(bus: &Bus, array: usize) -> Result<anyhow::Error> {
     // A simulator has no token for each of its arrays.
     if bus.alive(&room.array(array).drivers_alive(), PRESENCE_LIMIT)?.is_empty() {
         for other in 0..MAX_ARRAYS {
-            if !bus.fetch(&room.array(other).capabilities(), OTHERS_WITHIN)?.is_empty() {
+            // One that is absent answers at once.
+            if !bus.fetch(&room.array(other).capabilities(), ANSWER_TIMEOUT)?.is_empty() {
                 there.push(other);
             }
         }
@@ -216,9 +214,21 @@ impl TestSession {
             report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
         };
         let listed = self.wait(ANSWER_TIMEOUT, |received| received.stops.last().map(names));
+        let is_full = |received: &Received| received.stops.last().is_some_and(StopReport::stands_for_unlisted);
+        ensure!(
+            !self.inspect(is_full),
+            "the array holds more stops than it lists, and one can be an operator's: release them before the check, with \
+             heliostat rearm --all"
+        );
         let from = self.count();
-        for (source, sequence) in listed.filter(|listed| !listed.is_empty()).unwrap_or_else(|| vec![name]) {
-            self.send_rearm(source, sequence)?;
+        let names = listed.filter(|listed| !listed.is_empty()).unwrap_or_else(|| vec![name]);
+        for (index, (source, sequence)) in names.into_iter().enumerate() {
+            let sent = self.send_rearm(source, sequence);
+            if sent.is_err() && index > 0 {
+                // An earlier re-arm has released what the array was stopped by.
+                self.send_stop(StopAction::Stop, utc_ns())?;
+            }
+            sent?;
         }
         let released = self.telemetry(from, |telemetry| telemetry.state != ArrayState::Stopped);
         if released.is_none() {
@@ -313,13 +323,16 @@ impl TestSession {
         Ok(self.commands.put(payload)?)
     }
 
-    /// Ends the check where another sender has stopped an array: no re-arm of the check may release that stop. The array
+    /// Ends the check where another sender has stopped an array: no re-arm of the check may release that stop. The room
     /// gets this stop again, because a re-arm that was on its way may have released it.
     pub fn expect_no_other_stop(&self) -> Result<()> {
         let of_check = |source: u64| (source ^ self.source) < SENDERS;
         let is_own = |stop: &LatchedStopReport| stop.operator == OPERATOR || of_check(stop.source);
         let Some(stop) = self.inspect(|received| received.other_stop(is_own)) else { return Ok(()) };
-        self.repeat(&stop)?;
+        // As a new order: it reaches every array, also one that has just released this stop.
+        let stamp = Stamp { source: stop.source, sequence: stop.sequence, time_ns: utc_ns() };
+        let (operator, reason) = (stop.operator.clone(), stop.reason.clone());
+        self.stops.put(&bytes(&EmergencyStop { stamp, action: StopAction::Stop, operator, reason })?)?;
         bail!(
             "{:?} has stopped an array of this room ({:?}): the check ends, and that stop stays in force; heliostat \
              status names each stop",
@@ -365,14 +378,8 @@ impl TestSession {
     }
 
     /// Publishes a repetition of a stop of the check, as a controller does for an array that has not reported it.
-    pub fn send_repetition(&self, (source, sequence): (u64, u64)) -> Result<()> {
+    pub fn send_repetition(&self, (stop_source, stop_sequence): (u64, u64)) -> Result<()> {
         let (operator, reason) = texts();
-        self.repeat(&LatchedStopReport { source, sequence, operator, reason, ..LatchedStopReport::default() })
-    }
-
-    /// Publishes a repetition of any stop.
-    fn repeat(&self, stop: &LatchedStopReport) -> Result<()> {
-        let LatchedStopReport { source: stop_source, sequence: stop_sequence, operator, reason, .. } = stop.clone();
         let stamp = self.stop_stamp(self.source, utc_ns());
         Ok(self.repetitions.put(&bytes(&StopRepetition { stamp, stop_source, stop_sequence, operator, reason })?)?)
     }

@@ -178,7 +178,7 @@ fn a_rearm_is_disabled_only_where_every_array_answers_and_reports_no_stop() {
            const none = { phase: 'none', stops: [], held: null, problems: [], lost: [] }; \
            const of = (more = {}, stop = {}, plan = {}) => reasons(plan, { ...now, ...more, stop: { ...none, ...stop } }, 'greedy').rearm; \
            const acts = [of({ ages_s: { array: 3 } }), of({ ages_s: { array: null } }), of({ array: { silent: [1], state: 'following' } }), \
-             of({ array: { silent: [], state: 'stopped' } }), of({}, { phase: 'requested' }), of({}, { stops: [{}] }), of({}, { held: 'a stop' }), \
+             of({ array: { silent: [], state: 'stopped' } }), of({ array: { silent: [], state: 'fault' } }), of({}, { phase: 'requested' }), of({}, { stops: [{}] }), of({}, { held: 'a stop' }), \
              of({}, { phase: 'released', lost: ['a driver'] }), of({}, { problems: ['open'] }), of({}, {}, { geometry_source: 'default' })]; \
            return [of(), of({}, { phase: 'released' }), ...new Set(acts)]; })";
     let none = "no array reports an emergency stop";

@@ -232,8 +232,11 @@ impl Station {
         let room = wire::room(room)?;
         let capabilities = capabilities_of(capabilities)?;
         let name = stop_record::file_name(&room, array);
-        let device = stop_record::device_of(&capabilities);
-        let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, device, object: store.unbind() };
+        let store = PyStore {
+            name: store.call_method1("open", (name,))?.extract()?,
+            device: stop_record::device_of(&capabilities),
+            object: store.unbind(),
+        };
         let (raised, received) = (Raised::default(), Arc::<Mutex<Arrivals>>::default());
         let clock = clock_of(clock, Arc::clone(&raised));
         let now = clock();

@@ -283,12 +283,12 @@ fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
 #[ignore = "replaces the pictures in docs/images"]
 fn pictures_of_the_default_demo() {
     let setting = Setting::start(&["--scenario", "hall"]);
-    let browser = Browser::open(&setting.url());
-    wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     let folder = workspace().join("docs/images");
     std::fs::create_dir_all(&folder).expect("a folder for screenshots");
-    // The chart of the sum rates needs 90 s of history.
-    std::thread::sleep(std::time::Duration::from_secs(60));
+    // The server keeps the history of the charts. A browser without a graphics card takes the processors from the controller.
+    std::thread::sleep(std::time::Duration::from_secs(90));
+    let browser = Browser::open(&setting.url());
+    wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     choose_theme(&browser, "light");
     for (name, width, height) in [("page-light", 1280, 800), ("page-narrow", 390, 844)] {
         browser.resize(width, height);

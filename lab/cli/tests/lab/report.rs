@@ -52,9 +52,13 @@ fn a_page_is_written_from_its_commands_and_a_second_run_continues() {
     assert!(first.status.success(), "{}", errors(&first));
     let text = page();
     let command = "heliostat-lab eval --policies nearest,flat --states 2 --seeds 1\n";
-    for expected in
-        ["# A small report", command, "States per seed: 2. Seeds: 1, from 1", "| met |", "## Not finished\n\nblocked"]
-    {
+    for expected in [
+        "# A small report",
+        command,
+        "States per seed: 2. Seeds: 1, from 1",
+        "| met, open within the interval |",
+        "## Not finished\n\nblocked",
+    ] {
         assert!(text.contains(expected), "{expected} is missing in:\n{text}");
     }
 

@@ -51,6 +51,6 @@ fn each_alert_fires_in_a_test_of_the_rules() {
 #[test]
 fn each_configuration_of_prometheus_names_an_alertmanager() {
     for file in ["deploy/prometheus/prometheus.yml", "deploy/building/prometheus.yml"] {
-        assert!(read(file).lines().any(|line| line.starts_with("alerting: ")), "{file} notifies nobody");
+        assert!(read(file).lines().any(|line| line.starts_with("alerting: ")), "{file} names no Alertmanager");
     }
 }
